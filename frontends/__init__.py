@@ -1,0 +1,1 @@
+"""Stereo perception, matching, positioning: images to measurements, no graph."""

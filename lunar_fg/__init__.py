@@ -1,0 +1,1 @@
+"""The core: datasets, the factor graph, the navigator, evaluation."""
