@@ -1,0 +1,131 @@
+"""Block-mean pyramid and padded integral images (Bay et al., eq. 8).
+
+Octave k of the detector uses the same box filters as octave 0 on the image of the means of
+2^k x 2^k blocks: every memory access then has unit stride. Levels above 0 keep two fractional
+bits (grey value times 4), and every integral image is in that unit.
+
+The integral images are padded by `PAD` replicated pixels on each side, so that neither the
+detector nor the descriptors need a special case at the border. They wrap modulo 2^32, which
+is harmless: the sum over any box below 2^31 is exact.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frontends.surf._jit import njit
+
+PAD = 56  # >= 10 * sqrt(2) * 3.6 + 3: the widest rotated descriptor window, in pixels
+FRACTION_BITS = 2  # integral images hold sums of grey * 2**FRACTION_BITS
+
+
+@njit
+def halve(image: NDArray[Any], shift: int, out: NDArray[np.uint16]) -> None:
+    """Means of 2x2 blocks, rounded: ``out = (sum + half) >> shift``.
+
+    Parameters
+    ----------
+    image : ndarray (H, W) uint8 or uint16
+    shift : int
+        0 makes grey*4 from uint8 grey, 2 keeps the unit.
+    out : ndarray (H // 2, W // 2) uint16
+    """
+    half = (1 << shift) >> 1
+    for y in range(out.shape[0]):
+        a = image[2 * y]
+        b = image[2 * y + 1]
+        row = out[y]
+        for x in range(row.size):
+            row[x] = (
+                np.int32(a[2 * x])
+                + np.int32(a[2 * x + 1])
+                + np.int32(b[2 * x])
+                + np.int32(b[2 * x + 1])
+                + half
+            ) >> shift
+
+
+@njit
+def integrate(image: NDArray[Any], shift: int, out: NDArray[np.int32]) -> None:
+    """Integral image (eq. 8) of the image padded by `PAD` replicated pixels.
+
+    ``out[y, x]`` is the sum over rows < y and columns < x of the padded image times
+    2**shift, modulo 2**32.
+
+    Parameters
+    ----------
+    image : ndarray (H, W) uint8 or uint16
+    shift : int
+        2 for uint8 grey, 0 for a level that is already in grey*4.
+    out : ndarray (H + 2 PAD + 1, W + 2 PAD + 1) int32
+    """
+    h, w = image.shape
+    sums = np.empty(w + 2 * PAD + 1, np.int32)
+    sums[0] = 0
+    out[0, :] = 0
+    target = 0
+    for y in range(h):
+        source = image[y]
+        total = np.int32(0)
+        value = np.int32(np.int32(source[0]) << shift)
+        for x in range(PAD):
+            total = np.int32(total + value)
+            sums[x + 1] = total
+        middle = sums[PAD + 1 :]
+        for x in range(w):
+            total = np.int32(total + (np.int32(source[x]) << shift))
+            middle[x] = total
+        right = sums[PAD + 1 + w :]
+        value = np.int32(np.int32(source[w - 1]) << shift)
+        for x in range(PAD):
+            total = np.int32(total + value)
+            right[x] = total
+        copies = 1
+        if y == 0:
+            copies += PAD
+        if y == h - 1:
+            copies += PAD
+        for _ in range(copies):
+            above = out[target]
+            target += 1
+            row = out[target]
+            for x in range(row.size):
+                row[x] = above[x] + sums[x]
+
+
+def integral_image(image: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArray[np.int32]:
+    """Make the padded integral image of one pyramid level.
+
+    Parameters
+    ----------
+    image : ndarray (H, W) uint8 or uint16
+        Grey values, or grey*4 for a uint16 level.
+
+    Returns
+    -------
+    ndarray (H + 2 PAD + 1, W + 2 PAD + 1) int32
+        Sums of grey*4, modulo 2**32.
+    """
+    h, w = image.shape
+    out = np.empty((h + 2 * PAD + 1, w + 2 * PAD + 1), np.int32)
+    integrate(image, FRACTION_BITS if image.dtype == np.uint8 else 0, out)
+    return out
+
+
+def half_image(image: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArray[np.uint16]:
+    """Next pyramid level: means of 2x2 blocks in grey*4.
+
+    Parameters
+    ----------
+    image : ndarray (H, W) uint8 or uint16
+
+    Returns
+    -------
+    ndarray (H // 2, W // 2) uint16
+    """
+    out = np.empty((image.shape[0] // 2, image.shape[1] // 2), np.uint16)
+    halve(image, 0 if image.dtype == np.uint8 else 2, out)
+    return out
