@@ -1,0 +1,85 @@
+"""Open a dataset of any known format."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from frontends.errors import InputError
+from lunar_fg.datasets.base import Dataset, Reader
+from lunar_fg.datasets.folder import TRAVERSE, FolderReader
+from lunar_fg.datasets.kitti import PAIRS, KittiReader
+from lunar_fg.datasets.schema import nearest_known
+
+#: Every format; the first that detects a folder opens it.
+READERS: tuple[Reader, ...] = (FolderReader(), KittiReader())
+
+
+def open_dataset(path: Path | str, images_root: Path | str | None = None) -> Dataset:
+    """Open a dataset, whatever its format.
+
+    Parameters
+    ----------
+    path
+        Folder of the dataset, or its ``traverse.yaml``.
+    images_root
+        Folder that the paths in frames.csv are relative to, where the images lie
+        somewhere else (folder format only).
+
+    Returns
+    -------
+    Dataset
+        Checked, as far as that is possible without decoding all images.
+
+    Raises
+    ------
+    InputError
+        When the folder is of no known format (says what was looked for, and the nearest
+        thing that is there), or when something in it is wrong.
+    """
+    folder = Path(path)
+    if folder.name == TRAVERSE and folder.is_file():
+        folder = folder.parent
+    if not folder.exists():
+        raise InputError(
+            "does not exist", source=folder, field="dataset", remedy=_nearest_neighbour(folder)
+        )
+    if not folder.is_dir():
+        raise InputError(
+            "is a file", source=folder, field="dataset", remedy="give the folder of the dataset"
+        )
+    for reader in READERS:
+        if reader.detects(folder):
+            return reader.open(folder, None if images_root is None else Path(images_root))
+    raise InputError(
+        "is no dataset of a known format, looked for "
+        + "; ".join(f"{reader.looks_for} ({reader.format_name})" for reader in READERS),
+        source=folder,
+        field="dataset",
+        remedy=_nearest_thing(folder),
+    )
+
+
+def _nearest_neighbour(folder: Path) -> str:
+    parent = folder.parent
+    names = [entry.name for entry in parent.iterdir()] if parent.is_dir() else []
+    remedy = nearest_known(folder.name, names) if names else ""
+    return remedy if remedy.startswith("did you mean") else "check the path"
+
+
+def _nearest_thing(folder: Path) -> str:
+    """Say what in a folder comes nearest to a dataset."""
+    entries = sorted(os.listdir(folder))
+    if not entries:
+        return "the folder is empty"
+    for name in entries:
+        if (folder / name).is_dir() and any(reader.detects(folder / name) for reader in READERS):
+            return f"give its sub-folder {name}, which is a dataset"
+    known = [TRAVERSE, "frames.csv", "calib.txt", *(name for pair in PAIRS for name in pair[:2])]
+    for name in entries:
+        if name in known:
+            return f"{name} is there, but what goes with it is not"
+        remedy = nearest_known(name, known)
+        if remedy.startswith("did you mean"):
+            return f"{name} is there: {remedy}"
+    return f"the folder holds {', '.join(entries[:5])}{' ...' if len(entries) > 5 else ''}"

@@ -1,0 +1,101 @@
+"""YAML for untrusted files: safe tags only, bounded, no aliases, no repeated keys."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Hashable
+from pathlib import Path
+from typing import Any, cast
+
+import yaml
+
+from frontends.errors import InputError
+
+MAX_BYTES = 1_000_000
+MAX_DEPTH = 20
+
+#: YAML 1.2 floats: PyYAML alone takes ``1e-3`` for text.
+_FLOAT = re.compile(
+    r"^[-+]?(?:(?:[0-9]+\.[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|[0-9]+[eE][-+]?[0-9]+"
+    r"|\.(?:inf|Inf|INF))$|^\.(?:nan|NaN|NAN)$"
+)
+
+
+class _StrictLoader(yaml.SafeLoader):
+    """`yaml.SafeLoader` that refuses aliases, deep nesting and repeated keys."""
+
+    def __init__(self, stream: str) -> None:
+        super().__init__(stream)
+        self._depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.composer.ComposerError(None, None, "aliases (*name) are not allowed")
+        if self._depth >= MAX_DEPTH:
+            raise yaml.composer.ComposerError(None, None, f"is nested deeper than {MAX_DEPTH}")
+        self._depth += 1
+        try:
+            return super().compose_node(parent, index)
+        finally:
+            self._depth -= 1
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode):
+                if key.value in seen:
+                    raise yaml.constructor.ConstructorError(
+                        None, None, f"the key {key.value!r} is there twice", key.start_mark
+                    )
+                seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
+_StrictLoader.add_implicit_resolver("tag:yaml.org,2002:float", _FLOAT, list("-+0123456789."))
+
+
+def read_yaml(path: Path) -> object:
+    """Content of a small YAML file as plain Python values.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read, is larger than 1 MB, is no YAML, or uses aliases,
+        repeated keys or deep nesting.
+    """
+    try:
+        size = path.stat().st_size
+        if size > MAX_BYTES:
+            raise InputError(
+                f"has {size} bytes, more than {MAX_BYTES}",
+                source=path,
+                remedy="give a hand-written traverse.yaml",
+            )
+        text = path.read_bytes().decode("utf-8-sig")
+    except OSError as error:
+        raise InputError(
+            f"cannot be read: {error.strerror}", source=path, remedy="check the path and its rights"
+        ) from error
+    except UnicodeDecodeError as error:
+        raise InputError("is not UTF-8 text", source=path, remedy="save it as UTF-8") from error
+    loader: _StrictLoader | None = None
+    try:
+        loader = _StrictLoader(text)
+        return cast(object, loader.get_single_data())
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        raise InputError(
+            error.problem or "is not YAML",
+            source=path,
+            field=None if mark is None else f"line {mark.line + 1}",
+            remedy="docs/formats.md has an example",
+        ) from error
+    except (yaml.YAMLError, ValueError) as error:
+        raise InputError(
+            f"is not YAML: {' '.join(str(error).split())[:200]}",
+            source=path,
+            remedy="docs/formats.md has an example",
+        ) from error
+    finally:
+        if loader is not None:
+            loader.dispose()
