@@ -1,0 +1,311 @@
+"""The folder of a run: what a run writes, and how it is found again.
+
+Whole files are written beside their place and then renamed, so a reader sees the old
+one or the new one and never half of one. Estimates are also appended one by one while the
+run goes on (`RunFolder.recorder`): what was computed survives an aborted run.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from pydantic import BaseModel
+
+from frontends.errors import InputError
+from frontends.measurements import Estimate
+from lunar_fg.evaluation.metrics import Metrics
+from lunar_fg.trajectory import Trajectory
+from lunar_fg.trajectory_io import kitti_text, read_trajectory, tum_line, tum_text
+
+FloatArray = NDArray[np.float64]
+
+#: First line of ``config.yaml``: a folder with it is a run's, and may be overwritten.
+MARK = "# lunar-fg run"
+#: Frames between two rewrites of the covariances while a run goes on.
+SAVE_EVERY = 50
+
+_FILES = (
+    "config.yaml",
+    "trajectory.tum",
+    "trajectory.kitti",
+    "covariance.npz",
+    "metrics.json",
+    "run.log",
+)
+#: Files that later steps put into a run's folder; overwriting the run removes them too.
+_LATER_FILES = ("run.db", "run.db-wal", "run.db-shm", "report.html")
+_PICTURES = ("*.png", "*.svg", "*.pdf")
+
+
+@dataclass(frozen=True, slots=True)
+class RunFolder:
+    """Paths, writers and readers of one run's folder.
+
+    Make one with `create` or `open`.
+    """
+
+    path: Path
+
+    @classmethod
+    def create(
+        cls,
+        path: str | Path,
+        config: BaseModel | Mapping[str, Any],
+        *,
+        overwrite: bool = False,
+    ) -> RunFolder:
+        """Make the folder of a new run and write its effective configuration.
+
+        Parameters
+        ----------
+        path
+            A folder that does not exist yet, is empty, or (with `overwrite`) holds an
+            earlier run.
+        config
+            Effective configuration; it must dump to plain YAML values.
+        overwrite
+            Remove the files of the earlier run. Files that no run writes are kept.
+
+        Raises
+        ------
+        InputError
+            When the place is taken. Nothing has been touched then.
+        """
+        folder = cls(Path(path))
+        folder._claim(overwrite)
+        values = config.model_dump(mode="json") if isinstance(config, BaseModel) else dict(config)
+        text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
+        _write(folder.config_path, f"{MARK}\n{text}".encode())
+        return folder
+
+    @classmethod
+    def open(cls, path: str | Path) -> RunFolder:
+        """Find the folder of an earlier run.
+
+        Raises
+        ------
+        InputError
+            When there is none.
+        """
+        folder = cls(Path(path))
+        if not folder.path.is_dir():
+            raise InputError("no such folder", source=path)
+        if not folder._is_run():
+            raise InputError(
+                "is not the folder of a run: no config.yaml of lunar-fg",
+                source=path,
+                remedy="give the folder that `lunar-fg run -o` wrote",
+            )
+        return folder
+
+    @property
+    def config_path(self) -> Path:
+        """Effective configuration."""
+        return self.path / "config.yaml"
+
+    @property
+    def tum_path(self) -> Path:
+        """``map_T_rover`` with stamps."""
+        return self.path / "trajectory.tum"
+
+    @property
+    def kitti_path(self) -> Path:
+        """Poses as KITTI rows, see `write_trajectory`."""
+        return self.path / "trajectory.kitti"
+
+    @property
+    def covariance_path(self) -> Path:
+        """Arrays ``stamp_s`` (N,) and ``covariance`` (N, 6, 6)."""
+        return self.path / "covariance.npz"
+
+    @property
+    def metrics_path(self) -> Path:
+        """Figures, see `lunar_fg.evaluation.metrics`."""
+        return self.path / "metrics.json"
+
+    @property
+    def log_path(self) -> Path:
+        """Text log of the run; the caller's logging writes it."""
+        return self.path / "run.log"
+
+    @property
+    def plots_path(self) -> Path:
+        """Folder of the pictures."""
+        return self.path / "plots"
+
+    def write_trajectory(
+        self, trajectory: Trajectory, *, rover_T_camera: FloatArray | None = None
+    ) -> None:
+        """Write ``trajectory.tum``, ``covariance.npz`` and ``trajectory.kitti``.
+
+        Parameters
+        ----------
+        trajectory
+            ``map_T_rover``.
+        rover_T_camera
+            When given, the KITTI file holds the camera's poses in the frame of its first
+            one, as the KITTI benchmark wants them; otherwise ``map_T_rover``.
+        """
+        _write(self.tum_path, tum_text(trajectory).encode())
+        if trajectory.covariance is None:
+            self.covariance_path.unlink(missing_ok=True)
+        else:
+            buffer = io.BytesIO()
+            np.savez(buffer, stamp_s=trajectory.stamp_s, covariance=trajectory.covariance)
+            _write(self.covariance_path, buffer.getvalue())
+        if rover_T_camera is not None:
+            trajectory = trajectory.of_sensor(rover_T_camera).from_start()
+        _write(self.kitti_path, kitti_text(trajectory).encode())
+
+    def read_trajectory(self) -> Trajectory:
+        """Read the trajectory, with covariances where all its poses have one."""
+        trajectory = read_trajectory(self.tum_path)
+        if not self.covariance_path.is_file():
+            return trajectory
+        try:
+            with np.load(self.covariance_path) as arrays:
+                stamps, covariance = arrays["stamp_s"], arrays["covariance"]
+        except (OSError, ValueError, KeyError, EOFError) as error:
+            raise InputError(
+                "is not an archive of stamp_s and covariance", source=self.covariance_path
+            ) from error
+        if len(stamps) != len(trajectory) or not np.allclose(
+            stamps, trajectory.stamp_s, rtol=0.0, atol=1e-6
+        ):
+            return trajectory
+        return Trajectory(stamps, trajectory.map_T_rover, covariance)
+
+    def recorder(self, *, rover_T_camera: FloatArray | None = None) -> EstimateRecorder:
+        """Recorder of a run's estimates, to be used in a ``with`` statement."""
+        return EstimateRecorder(self, rover_T_camera)
+
+    def write_metrics(self, metrics: Metrics) -> None:
+        """Write ``metrics.json``."""
+        _write(self.metrics_path, metrics.to_json().encode())
+
+    def read_metrics(self) -> dict[str, Any]:
+        """Read ``metrics.json`` as it stands."""
+        try:
+            found = json.loads(self.metrics_path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            problem = f"cannot be read: {_one_line(error)}"
+            raise InputError(problem, source=self.metrics_path) from error
+        return dict(found)
+
+    def read_config(self) -> dict[str, Any]:
+        """Read the effective configuration as plain values."""
+        try:
+            found = yaml.safe_load(self.config_path.read_text(encoding="utf-8"))
+        except (OSError, ValueError, yaml.YAMLError) as error:
+            problem = f"cannot be read: {_one_line(error)}"
+            raise InputError(problem, source=self.config_path) from error
+        return dict(found or {})
+
+    def _is_run(self) -> bool:
+        try:
+            with self.config_path.open(encoding="utf-8") as file:
+                return file.readline().startswith(MARK)
+        except (OSError, UnicodeDecodeError):
+            return False
+
+    def _claim(self, overwrite: bool) -> None:
+        if self.path.exists() and not self.path.is_dir():
+            raise InputError("is a file, not a folder", source=self.path)
+        taken = self.path.is_dir() and any(self.path.iterdir())
+        if taken and not self._is_run():
+            raise InputError(
+                "holds files that are not a run's; they are left alone",
+                source=self.path,
+                remedy="name a new or empty folder",
+            )
+        if taken and not overwrite:
+            raise InputError(
+                "holds an earlier run",
+                source=self.path,
+                remedy="name another folder, or replace that run with --overwrite",
+            )
+        try:
+            # The mark goes last: an interrupted clean-up leaves a folder still known as a run's.
+            for name in (*_FILES[1:], *_LATER_FILES):
+                (self.path / name).unlink(missing_ok=True)
+            for pattern in _PICTURES:
+                for picture in self.plots_path.glob(pattern):
+                    picture.unlink()
+            self.plots_path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"cannot be written: {error.strerror}", source=self.path) from error
+
+
+class EstimateRecorder:
+    """Keeps every estimate of a run on disk as it comes.
+
+    Each estimate is a line of ``trajectory.tum`` at once; covariances and the KITTI file
+    follow every `SAVE_EVERY` frames and when the ``with`` block ends, also by an exception.
+
+    Parameters
+    ----------
+    folder
+        Where to.
+    rover_T_camera
+        For the KITTI file, see `RunFolder.write_trajectory`.
+    """
+
+    def __init__(self, folder: RunFolder, rover_T_camera: FloatArray | None = None) -> None:
+        self._folder = folder
+        self._rover_T_camera = rover_T_camera
+        self._estimates: list[Estimate] = []
+
+    def __enter__(self) -> Self:
+        """Start recording."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Write everything recorded, whether the block ended well or not."""
+        if self._estimates:
+            self._save()
+
+    def record(self, estimate: Estimate) -> None:
+        """Keep one estimate."""
+        self._estimates.append(estimate)
+        with self._folder.tum_path.open("a", encoding="utf-8") as file:
+            file.write(tum_line(estimate.stamp_s, estimate.map_T_rover) + "\n")
+        if len(self._estimates) % SAVE_EVERY == 0:
+            self._save()
+
+    def trajectory(self) -> Trajectory:
+        """Trajectory of all estimates so far."""
+        return Trajectory.from_estimates(self._estimates)
+
+    def _save(self) -> None:
+        trajectory = self.trajectory()
+        self._folder.write_trajectory(trajectory, rover_T_camera=self._rover_T_camera)
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Write a whole file so that it is never seen half-written."""
+    beside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        beside.write_bytes(content)
+        os.replace(beside, path)
+    except OSError as error:
+        beside.unlink(missing_ok=True)
+        raise InputError(f"cannot be written: {error.strerror}", source=path) from error
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
