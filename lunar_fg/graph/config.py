@@ -1,0 +1,41 @@
+"""Settings of the factor graph."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class GraphConfig(BaseModel):
+    """How measurements become a trajectory; every value is a probability, a sigma or a count.
+
+    Attributes
+    ----------
+    landmarks
+        ``"segments"``: a short window of stereo landmark factors is solved and marginalised
+        to one relative pose, iSAM2 smooths the poses. ``"full"``: all landmarks stay in iSAM2.
+    segment_keyframes
+        Motions a segment spans; its boundary keyframes are the poses of the graph.
+    gate_probability
+        Share of good landmark tracks that the two-view chi-square gate lets pass.
+    robust_threshold_sigma
+        Huber's threshold on a landmark's whitened residual (3 values), sigmas.
+    min_tracks
+        With fewer landmark tracks from earlier keyframes than this, the measured relative
+        pose carries a keyframe instead of its landmarks.
+    max_track_gap
+        For how many keyframes a landmark may stay unseen and still be the same landmark.
+    max_iterations
+        Of the solver of one segment, and of the offline optimiser (ten times as many).
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    landmarks: Literal["segments", "full"] = "segments"
+    segment_keyframes: int = Field(default=10, ge=1, le=100)
+    gate_probability: float = Field(default=0.999, gt=0.5, lt=1.0)
+    robust_threshold_sigma: float = Field(default=3.0, ge=0.5, le=100.0)
+    min_tracks: int = Field(default=8, ge=3)
+    max_track_gap: int = Field(default=10, ge=1)
+    max_iterations: int = Field(default=20, ge=1, le=1000)

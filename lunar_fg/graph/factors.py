@@ -1,0 +1,96 @@
+"""Factors, each checked before it reaches GTSAM."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+
+from frontends.camera import StereoCamera
+from frontends.errors import InputError
+from frontends.measurements import FloatArray, StartPrior, Tilt
+from lunar_fg.graph.checks import check_covariance, check_finite, check_pose
+
+
+def pose_key(ordinal: int) -> int:
+    """GTSAM's key of the pose of the n-th keyframe."""
+    return int(gtsam.symbol("x", ordinal))
+
+
+def landmark_key(track: int) -> int:
+    """GTSAM's key of the point of a landmark track."""
+    return int(gtsam.symbol("l", track))
+
+
+def gaussian(covariance: FloatArray, source: str, field: str) -> gtsam.noiseModel.Gaussian:
+    """Noise model of a checked, positive definite covariance."""
+    check_covariance(covariance, len(covariance), source, field)
+    try:
+        np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError as error:
+        raise InputError(
+            "is singular", source=source, field=field, remedy="give every direction a sigma above 0"
+        ) from error
+    return gtsam.noiseModel.Gaussian.Covariance(covariance)
+
+
+def start_factor(key: int, start: StartPrior) -> gtsam.PriorFactorPose3:
+    """Prior on the first pose."""
+    check_pose(start.map_T_rover, "start", "map_T_rover")
+    noise = gaussian(start.covariance(), "start", "sigmas")
+    return gtsam.PriorFactorPose3(key, gtsam.Pose3(start.map_T_rover), noise)
+
+
+def between_factor(
+    first: int, second: int, a_T_b: FloatArray, covariance: FloatArray, source: str
+) -> gtsam.BetweenFactorPose3:
+    """Measured motion between two poses, covariance in the axes of the second."""
+    check_pose(a_T_b, source, "motion")
+    noise = gaussian(covariance, source, "covariance")
+    return gtsam.BetweenFactorPose3(first, second, gtsam.Pose3(a_T_b), noise)
+
+
+def tilt_factor(key: int, tilt: Tilt, source: str) -> gtsam.AttitudeFactorPose3:
+    """Roll and pitch against the map's vertical; heading stays free."""
+    check_finite([tilt.roll_rad, tilt.pitch_rad, tilt.sigma_rad], source, "tilt")
+    if tilt.sigma_rad <= 0.0:
+        raise InputError("must be above 0", source=source, field="tilt.sigma_rad")
+    sp, cp = np.sin(tilt.pitch_rad), np.cos(tilt.pitch_rad)
+    sr, cr = np.sin(tilt.roll_rad), np.cos(tilt.roll_rad)
+    up_in_rover = gtsam.Unit3(np.array([-sp, cp * sr, cp * cr]))
+    up_in_map = gtsam.Unit3(np.array([0.0, 0.0, 1.0]))
+    noise = gtsam.noiseModel.Isotropic.Sigma(2, tilt.sigma_rad)
+    return gtsam.AttitudeFactorPose3(key, up_in_map, noise, up_in_rover)
+
+
+class StereoFactors:
+    """Stereo landmark factors of one camera with Huber's loss.
+
+    Parameters
+    ----------
+    camera, rover_T_camera
+        The camera and where it sits; poses in the graph are the rover's.
+    robust_threshold_sigma
+        Huber's threshold on the whitened residual.
+    """
+
+    def __init__(
+        self, camera: StereoCamera, rover_T_camera: FloatArray, robust_threshold_sigma: float
+    ) -> None:
+        check_pose(rover_T_camera, "rover_T_camera", "")
+        self._calibration = gtsam.Cal3_S2Stereo(
+            camera.fx, camera.fy, 0.0, camera.cx, camera.cy, camera.baseline_m
+        )
+        self._rover_P_camera = gtsam.Pose3(rover_T_camera)
+        self._loss = gtsam.noiseModel.mEstimator.Huber.Create(robust_threshold_sigma)
+
+    def create(
+        self, pose: int, landmark: int, uuv: FloatArray, covariance: FloatArray
+    ) -> gtsam.GenericStereoFactor3D:
+        """One factor; `uuv` (3,) px and `covariance` (3, 3) come checked from a keyframe."""
+        noise = gtsam.noiseModel.Robust.Create(
+            self._loss, gtsam.noiseModel.Gaussian.Covariance(covariance)
+        )
+        measured = gtsam.StereoPoint2(uuv[0], uuv[1], uuv[2])
+        return gtsam.GenericStereoFactor3D(
+            measured, noise, pose, landmark, self._calibration, self._rover_P_camera
+        )

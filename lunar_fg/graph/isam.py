@@ -1,0 +1,182 @@
+"""iSAM2 behind a guard: a failed update costs its own factors, never the trajectory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar
+
+import gtsam
+import numpy as np
+
+from frontends.errors import EstimationError
+from frontends.measurements import FloatArray
+
+_RELINEARIZE_SKIP = 10
+_SETTLED = 1e-6
+_MOST_SETTLING_STEPS = 25
+# What pybind11 turns GTSAM's C++ exceptions into.
+_GTSAM_ERRORS = (RuntimeError, ValueError, IndexError, KeyError)
+
+_T = TypeVar("_T")
+
+QR_WARNING = (
+    "GTSAM's Cholesky refused the graph (loose directions have drifted past 4096 local sigmas, "
+    "or nothing anchors the vertical); iSAM2 goes on with QR, which is slower"
+)
+
+
+class GuardedIsam:
+    """An ISAM2 that can be rebuilt from its own books after any failure.
+
+    Parameters
+    ----------
+    qr
+        Factorise by QR from the start. QR has no limit on how far loose directions drift;
+        Cholesky is faster with many landmarks.
+    relinearize_threshold
+        Change of a variable (rad, m) past which it is linearised again.
+    """
+
+    def __init__(self, *, qr: bool, relinearize_threshold: float = 0.05) -> None:
+        self._qr = qr
+        self._threshold = relinearize_threshold
+        self._factors = gtsam.NonlinearFactorGraph()
+        self._initial = gtsam.Values()
+        self._isam = self._fresh(relinearize_threshold)
+        self._warnings: tuple[str, ...] = ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the user should know about the solver."""
+        return self._warnings
+
+    def _fresh(self, threshold: float, skip: int = _RELINEARIZE_SKIP) -> gtsam.ISAM2:
+        params = gtsam.ISAM2Params()
+        params.relinearizeSkip = skip
+        params.enablePartialRelinearizationCheck = True
+        params.setRelinearizeThreshold(threshold)
+        params.setFactorization("QR" if self._qr else "CHOLESKY")
+        return gtsam.ISAM2(params)
+
+    def _rebuild(self, values: gtsam.Values) -> None:
+        self._isam = self._fresh(self._threshold)
+        if self._factors.size():
+            self._isam.update(self._factors, values)
+
+    def update(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, frame: int) -> None:
+        """Add checked factors and the initial values of their new variables.
+
+        Raises
+        ------
+        EstimationError
+            When they cannot be solved; the graph is as it was before the call.
+        """
+        try:
+            self._isam.update(factors, values)
+            self._check_finite(values)
+        except _GTSAM_ERRORS as error:
+            self._recover(factors, values, frame, error)
+        self._factors.push_back(factors)
+        self._initial.insert(values)
+
+    def _check_finite(self, values: gtsam.Values) -> None:
+        for key in values.keys():  # noqa: SIM118
+            if gtsam.Symbol(key).chr() == ord("x") and not np.isfinite(self.pose(key)).all():
+                raise ValueError("the estimate is not finite")
+
+    def _recover(
+        self,
+        factors: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+        frame: int,
+        error: Exception,
+    ) -> None:
+        if not self._qr:
+            self._qr = True
+            whole, all_values = (
+                gtsam.NonlinearFactorGraph(self._factors),
+                gtsam.Values(self._initial),
+            )
+            whole.push_back(factors)
+            all_values.insert(values)
+            isam = self._fresh(self._threshold)
+            try:
+                isam.update(whole, all_values)
+            except _GTSAM_ERRORS:
+                self._qr = False
+            else:
+                self._isam = isam
+                self._warnings = (QR_WARNING,)
+                return
+        self._rebuild(self._initial)
+        raise EstimationError(
+            f"keyframe {frame}: its measurements could not be solved and are left out "
+            f"({_first_line(error)})"
+        ) from error
+
+    def pose(self, key: int) -> FloatArray:
+        """Return the current estimate, (4, 4)."""
+        return np.asarray(self._isam.calculateEstimatePose3(key).matrix())
+
+    def covariance(self, key: int) -> FloatArray:
+        """Marginal covariance of a pose, (6, 6)."""
+        return self._marginal(lambda isam: np.asarray(isam.marginalCovariance(key)))
+
+    def joint_covariance(self, first: int, second: int) -> FloatArray:
+        """Joint covariance of two poses, (12, 12), first then second."""
+
+        def joint(isam: gtsam.ISAM2) -> FloatArray:
+            marginal = isam.jointMarginalCovariance([first, second])
+            keys = (first, second)
+            return np.block([[marginal.at(a, b) for b in keys] for a in keys])
+
+        return self._marginal(joint)
+
+    def _marginal(self, query: Callable[[gtsam.ISAM2], _T]) -> _T:
+        try:
+            return query(self._isam)
+        except _GTSAM_ERRORS as error:
+            if self._qr:
+                raise EstimationError(
+                    f"the marginal covariance failed ({_first_line(error)})"
+                ) from error
+        self._qr = True
+        self._warnings = (QR_WARNING,)
+        self._rebuild(self._isam.calculateEstimate())
+        return self._marginal(query)
+
+    def settle(self) -> None:
+        """Relinearise everything until nothing moves: what batch Gauss-Newton would reach.
+
+        Raises
+        ------
+        EstimationError
+            When the graph cannot be solved; the estimate stays as it was.
+        """
+        if not self._factors.size():
+            return
+        before = self._isam
+        estimate = before.calculateEstimate()
+        isam = self._fresh(0.0, skip=1)
+        try:
+            isam.update(self._factors, estimate)
+            for _ in range(_MOST_SETTLING_STEPS):
+                isam.update()
+                moved = isam.getDelta()
+                if moved.norm() < _SETTLED:
+                    break
+        except _GTSAM_ERRORS as error:
+            if self._qr:
+                raise EstimationError(
+                    f"the last smoothing failed ({_first_line(error)})"
+                ) from error
+            self._qr, self._warnings = True, (QR_WARNING,)
+            self.settle()
+            return
+        self._initial = isam.calculateEstimate()
+        self._rebuild(self._initial)
+
+
+def _first_line(error: Exception) -> str:
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return " ".join(lines[:2]) or type(error).__name__

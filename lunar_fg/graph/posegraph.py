@@ -1,0 +1,192 @@
+"""Segments in, iSAM2 over their boundary poses, every keyframe's pose out."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+
+from frontends.camera import StereoCamera
+from frontends.errors import EstimationError
+from frontends.geometry import adjoint, inverse, se3_exp, se3_log
+from frontends.measurements import FloatArray, StartPrior
+from lunar_fg.graph.config import GraphConfig
+from lunar_fg.graph.factors import between_factor, pose_key, start_factor, tilt_factor
+from lunar_fg.graph.isam import GuardedIsam
+from lunar_fg.graph.keyframe import Entered, Keyframe
+from lunar_fg.graph.segment import Segment, SegmentSolution
+
+#: Tilt is used at boundary keyframes only: within a segment the landmarks hold the attitude
+#: far better, and repeated readings of one inclinometer are not independent.
+
+
+class SegmentGraph:
+    """The graph of ``landmarks="segments"``.
+
+    Parameters
+    ----------
+    camera, rover_T_camera, start, config
+        As for `IncrementalSmoother`.
+    """
+
+    def __init__(
+        self,
+        camera: StereoCamera,
+        rover_T_camera: FloatArray,
+        start: StartPrior,
+        config: GraphConfig,
+    ) -> None:
+        self._camera = camera
+        self._rover_T_camera = rover_T_camera
+        self._start = start
+        self._config = config
+        # One pose in segment_keyframes: QR costs no more than Cholesky and has no 4096 rule.
+        self._isam = GuardedIsam(qr=True)
+        self._segment: Segment | None = None
+        self._last: Keyframe | None = None
+        self._solutions: list[SegmentSolution] = []
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the user should know about the solver."""
+        return self._isam.warnings
+
+    def add(self, keyframe: Keyframe) -> Entered:
+        """Take in a keyframe; the segment closes when it is long enough."""
+        if self._segment is None:
+            self._begin(keyframe)
+            return Entered(0, 0, ("start",), lost=False)
+        entered = self._segment.add(keyframe)
+        self._last = keyframe
+        if len(self._segment) > self._config.segment_keyframes:
+            self.close()
+        return entered
+
+    def _begin(self, keyframe: Keyframe) -> None:
+        factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        factors.add(start_factor(pose_key(0), self._start))
+        values.insert(pose_key(0), gtsam.Pose3(self._start.map_T_rover))
+        self._add_tilt(factors, keyframe, pose_key(0))
+        self._isam.update(factors, values, keyframe.index)
+        self._open(keyframe)
+
+    def _open(self, boundary: Keyframe) -> None:
+        self._segment = Segment(self._camera, self._rover_T_camera, self._config, boundary)
+        self._last = boundary
+
+    @staticmethod
+    def _add_tilt(factors: gtsam.NonlinearFactorGraph, keyframe: Keyframe, key: int) -> None:
+        if keyframe.tilt is not None:
+            factors.add(tilt_factor(key, keyframe.tilt, f"keyframe {keyframe.index}"))
+
+    def close(self) -> None:
+        """Turn the open segment into one relative pose; its last keyframe opens the next.
+
+        A segment that cannot be solved becomes the chain of its motions.
+
+        Raises
+        ------
+        EstimationError
+            When iSAM2 refuses the relative pose; the segment stays open.
+        """
+        segment, last = self._segment, self._last
+        if segment is None or last is None or len(segment) == 1:
+            return
+        try:
+            solution = segment.solve()
+        except EstimationError:
+            solution = segment.chained()
+        first, second = pose_key(len(self._solutions)), pose_key(len(self._solutions) + 1)
+        factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        motion, covariance = solution.first_T_last, solution.last_covariance
+        source = f"segment that ends at keyframe {last.index}"
+        factors.add(between_factor(first, second, motion, covariance, source))
+        values.insert(second, gtsam.Pose3(self._isam.pose(first) @ motion))
+        self._add_tilt(factors, last, second)
+        self._isam.update(factors, values, last.index)
+        self._solutions.append(solution)
+        self._open(last)
+
+    def finish(self) -> None:
+        """Close the open segment and relinearise all."""
+        self.close()
+        self._isam.settle()
+
+    def latest(self) -> tuple[FloatArray, FloatArray]:
+        """Pose (4, 4) and covariance (6, 6) of the last keyframe."""
+        boundary = pose_key(len(self._solutions))
+        pose, covariance = self._isam.pose(boundary), self._isam.covariance(boundary)
+        if self._segment is None or len(self._segment) == 1:
+            return pose, covariance
+        return compose(pose, covariance, *self._segment.predicted())
+
+    def trajectory(self) -> tuple[FloatArray, FloatArray]:
+        """Poses (N, 4, 4) and covariances (N, 6, 6) of all keyframes."""
+        poses, covariances = [], []
+        if self._segment is None:
+            return np.empty((0, 4, 4)), np.empty((0, 6, 6))
+        for number, solution in enumerate(self._solutions):
+            first, second = pose_key(number), pose_key(number + 1)
+            ends = (self._isam.pose(first), self._isam.pose(second))
+            poses.append(ends[0])
+            covariances.append(self._isam.covariance(first))
+            if len(solution.first_T_rover) > 2:
+                joint = self._isam.joint_covariance(first, second)
+                inner = interior(solution, *ends, joint)
+                poses.extend(inner[0])
+                covariances.extend(inner[1])
+        boundary = pose_key(len(self._solutions))
+        pose, covariance = self._isam.pose(boundary), self._isam.covariance(boundary)
+        poses.append(pose)
+        covariances.append(covariance)
+        for open_pose, open_covariance in self._segment.chain():
+            composed = compose(pose, covariance, open_pose, open_covariance)
+            poses.append(composed[0])
+            covariances.append(composed[1])
+        return np.stack(poses), np.stack(covariances)
+
+
+def compose(
+    map_T_a: FloatArray, covariance_a: FloatArray, a_T_b: FloatArray, covariance: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Pose of `b` and its covariance from independent ``map_T_a`` and ``a_T_b``."""
+    carry = adjoint(inverse(a_T_b))
+    return map_T_a @ a_T_b, carry @ covariance_a @ carry.T + covariance
+
+
+def interior(
+    solution: SegmentSolution,
+    map_T_first: FloatArray,
+    map_T_last: FloatArray,
+    joint: FloatArray,
+) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Poses between a segment's ends, given what the whole graph says about the ends.
+
+    The segment's joint Gaussian is conditioned on its last pose, so that what fixes or
+    tilts pulled at the ends is spread over the segment, and covariances shrink with it.
+
+    Parameters
+    ----------
+    solution
+        The segment.
+    map_T_first, map_T_last, joint
+        Smoothed ends and their joint covariance (12, 12).
+
+    Returns
+    -------
+    tuple of list of FloatArray
+        Poses (4, 4) and covariances (6, 6) of the keyframes strictly between the ends.
+    """
+    pull = se3_log(inverse(solution.first_T_last) @ inverse(map_T_first) @ map_T_last)
+    last_back = adjoint(inverse(solution.first_T_last))
+    gain_all = np.linalg.solve(solution.last_covariance, solution.covariance[-6:, :]).T
+    poses, covariances = [], []
+    for i in range(1, len(solution.first_T_rover) - 1):
+        rows = slice(6 * (i - 1), 6 * i)
+        gain = gain_all[rows]
+        local = solution.first_T_rover[i]
+        rest = solution.covariance[rows, rows] - gain @ solution.covariance[-6:, rows]
+        by_ends = np.hstack([adjoint(inverse(local)) - gain @ last_back, gain])
+        poses.append(map_T_first @ local @ se3_exp(gain @ pull))
+        total = by_ends @ joint @ by_ends.T + rest
+        covariances.append(0.5 * (total + total.T))
+    return poses, covariances

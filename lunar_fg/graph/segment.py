@@ -1,0 +1,205 @@
+"""A segment: a short window of keyframes that becomes one relative pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from frontends.camera import StereoCamera
+from frontends.errors import EstimationError
+from frontends.geometry import adjoint, inverse
+from frontends.measurements import FloatArray
+from lunar_fg.graph.adjustment import Motion, Window, WindowSolver
+from lunar_fg.graph.config import GraphConfig
+from lunar_fg.graph.keyframe import Entered, Keyframe, floored, no_motion
+from lunar_fg.graph.tracks import Sightings, TrackTable
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentSolution:
+    """A closed segment, in rover frames, relative to its first keyframe.
+
+    Attributes
+    ----------
+    first_T_rover
+        (n, 4, 4) smoothed poses; the first is the identity.
+    covariance
+        (6 (n-1), 6 (n-1)) joint covariance of all poses but the first, each in its own
+        rover axes.
+    sightings
+        Stereo observations that went in.
+    chi_square, degrees_of_freedom
+        Of the solution; their ratio is 1 where the pixel sigmas are right.
+    converged
+        Whether the solver came to rest.
+    """
+
+    first_T_rover: FloatArray
+    covariance: FloatArray
+    sightings: int
+    chi_square: float
+    degrees_of_freedom: int
+    converged: bool
+
+    @property
+    def first_T_last(self) -> FloatArray:
+        """(4, 4): what the segment measures."""
+        return np.asarray(self.first_T_rover[-1])
+
+    @property
+    def last_covariance(self) -> FloatArray:
+        """(6, 6) of `first_T_last`, in the axes of the last keyframe."""
+        return np.asarray(self.covariance[-6:, -6:])
+
+
+class Segment:
+    """An open segment; it starts with the boundary keyframe that ended the one before.
+
+    Parameters
+    ----------
+    camera, rover_T_camera
+        The stereo camera and where it sits.
+    config
+        Of the graph.
+    boundary
+        The first keyframe.
+    """
+
+    def __init__(
+        self,
+        camera: StereoCamera,
+        rover_T_camera: FloatArray,
+        config: GraphConfig,
+        boundary: Keyframe,
+    ) -> None:
+        self._camera = camera
+        self._rover_T_camera = rover_T_camera
+        self._config = config
+        self._tracks = TrackTable(camera, config.gate_probability, config.max_track_gap)
+        self._motions: list[Motion] = []
+        self._poses: list[FloatArray] = [np.eye(4)]
+        self._covariances: list[FloatArray] = [np.zeros((6, 6))]
+        sightings = Sightings.of(boundary.observations)
+        self._sightings = [sightings]
+        self._numbers = [self._tracks.add(sightings, None, None).track]
+
+    def __len__(self) -> int:
+        """Keyframes in the segment, its boundary included."""
+        return len(self._poses)
+
+    def add(self, keyframe: Keyframe) -> Entered:
+        """Take in the next keyframe.
+
+        Raises
+        ------
+        InputError
+            When nothing connects it to the keyframe before.
+        """
+        motion = keyframe.motion(self._rover_T_camera)
+        if motion is None:
+            raise no_motion(f"keyframe {keyframe.index}")
+        relative, odometry = keyframe.relative, keyframe.odometry
+        trusted = relative is None or relative.accepted
+        sightings = Sightings.of(keyframe.observations)
+        here = len(self._poses)
+        tracked = self._tracks.add(sightings, motion, self._config.min_tracks if trusted else None)
+        enough = tracked.linked > 0
+        used = ["stereo landmarks"] if enough else []
+        if odometry is not None:
+            camera_T_rover = inverse(self._rover_T_camera)
+            rotate = adjoint(camera_T_rover)
+            self._motions.append(
+                Motion(
+                    here - 1,
+                    here,
+                    camera_T_rover @ odometry.a_T_b @ self._rover_T_camera,
+                    floored(rotate @ odometry.covariance @ rotate.T),
+                )
+            )
+            used.append("odometry")
+        measured = relative is not None and relative.accepted
+        if not enough and (odometry is None or measured):
+            self._motions.append(Motion(here - 1, here, *motion))
+            used.append("relative pose" if measured else "prediction")
+        self._sightings.append(sightings)
+        self._numbers.append(tracked.track)
+        carry = adjoint(inverse(motion[0]))
+        self._poses.append(self._poses[-1] @ motion[0])
+        self._covariances.append(carry @ self._covariances[-1] @ carry.T + motion[1])
+        return Entered(tracked.linked, tracked.cut, tuple(used), not (enough or measured))
+
+    def predicted(self) -> tuple[FloatArray, FloatArray]:
+        """Latest pose against the boundary by the motions alone, and its covariance.
+
+        Rover frames, (4, 4) and (6, 6).
+        """
+        rotate = adjoint(self._rover_T_camera)
+        return (
+            self._rover_T_camera @ self._poses[-1] @ inverse(self._rover_T_camera),
+            rotate @ self._covariances[-1] @ rotate.T,
+        )
+
+    def chain(self) -> list[tuple[FloatArray, FloatArray]]:
+        """Poses and covariances after the boundary by the motions alone, rover frames."""
+        rotate = adjoint(self._rover_T_camera)
+        back = inverse(self._rover_T_camera)
+        return [
+            (self._rover_T_camera @ pose @ back, rotate @ covariance @ rotate.T)
+            for pose, covariance in zip(self._poses[1:], self._covariances[1:], strict=True)
+        ]
+
+    def chained(self) -> SegmentSolution:
+        """Solve the segment by its motions alone: for when its landmarks cannot be solved."""
+        chain = self.chain()
+        n = len(chain)
+        joint = np.zeros((6 * n, 6 * n))
+        for i in range(n):
+            for j in range(i, n):
+                carry = adjoint(inverse(chain[j][0]) @ chain[i][0])
+                block = chain[i][1] @ carry.T
+                joint[6 * i : 6 * i + 6, 6 * j : 6 * j + 6] = block
+                joint[6 * j : 6 * j + 6, 6 * i : 6 * i + 6] = block.T
+        poses = np.stack([np.eye(4), *(pose for pose, _ in chain)])
+        return SegmentSolution(poses, joint, 0, 0.0, 0, converged=False)
+
+    def _window(self) -> Window:
+        sightings = Sightings(
+            np.concatenate([s.landmark for s in self._sightings]),
+            np.concatenate([s.uuv for s in self._sightings]),
+            np.concatenate([s.covariance for s in self._sightings]),
+        )
+        pose = np.repeat(np.arange(len(self)), [len(s) for s in self._sightings])
+        track = np.concatenate(self._numbers)
+        _, landmark, count = np.unique(track, return_inverse=True, return_counts=True)
+        rows = np.flatnonzero(count[landmark] > 1)
+        rows = rows[np.argsort(track[rows], kind="stable")]
+        _, landmark = np.unique(track[rows], return_inverse=True)
+        return Window(sightings.take(rows), pose[rows], landmark, tuple(self._motions))
+
+    def solve(self) -> SegmentSolution:
+        """Smooth the segment and marginalise its landmarks.
+
+        Raises
+        ------
+        EstimationError
+            When the measurements do not fix all poses.
+        """
+        window = self._window()
+        solver = WindowSolver(
+            self._camera, window, np.stack(self._poses), self._config.robust_threshold_sigma
+        )
+        solved = solver.solve(self._config.max_iterations)
+        if not np.isfinite(solved.covariance).all():
+            raise EstimationError("its covariance is not finite")
+        rover_T_camera = self._rover_T_camera
+        rotate = np.kron(np.eye(len(self) - 1), adjoint(rover_T_camera))
+        covariance = rotate @ solved.covariance @ rotate.T
+        return SegmentSolution(
+            rover_T_camera @ solved.poses @ inverse(rover_T_camera),
+            0.5 * (covariance + covariance.T),
+            len(window.pose),
+            solved.chi_square,
+            solved.degrees_of_freedom,
+            solved.converged,
+        )

@@ -1,0 +1,258 @@
+"""Landmark tracks behind a two-view chi-square gate that cuts a track where it breaks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from frontends.camera import StereoCamera
+from frontends.geometry import adjoint, inverse
+from frontends.measurements import FloatArray, IntArray, StereoObservations
+
+BoolArray = NDArray[np.bool_]
+
+#: A point nearer to the camera plane than this share of its distance is not projected.
+_LEAST_DEPTH_SHARE = 1e-3
+
+
+def homogeneous(camera: StereoCamera, uuv: FloatArray) -> FloatArray:
+    """Stereo pixels (M, 3) to homogeneous points (M, 4) in camera axes, scaled to z = 1.
+
+    The fourth value is the inverse depth (1/m), linear in the disparity, so a far point
+    is as well behaved as a near one.
+    """
+    result = np.ones((len(uuv), 4))
+    result[:, 0] = (uuv[:, 0] - camera.cx) / camera.fx
+    result[:, 1] = (uuv[:, 2] - camera.cy) / camera.fy
+    result[:, 3] = (uuv[:, 0] - uuv[:, 1]) / (camera.fx * camera.baseline_m)
+    return result
+
+
+def project(camera: StereoCamera, points: FloatArray) -> FloatArray:
+    """Homogeneous points (M, 4) in camera axes to u_left, u_right, v (M, 3), px."""
+    u_left = camera.fx * points[:, 0] / points[:, 2] + camera.cx
+    u_right = u_left - camera.fx * camera.baseline_m * points[:, 3] / points[:, 2]
+    v = camera.fy * points[:, 1] / points[:, 2] + camera.cy
+    return np.stack([u_left, u_right, v], axis=-1)
+
+
+def projection_jacobian(camera: StereoCamera, points: FloatArray) -> FloatArray:
+    """Differentiate `project` by the homogeneous point, (M, 3, 4)."""
+    x, y, z, w = points.T
+    fb = camera.fx * camera.baseline_m
+    result = np.zeros((len(points), 3, 4))
+    result[:, 0, 0] = result[:, 1, 0] = camera.fx / z
+    result[:, 0, 2] = -camera.fx * x / z**2
+    result[:, 1, 2] = result[:, 0, 2] + fb * w / z**2
+    result[:, 1, 3] = -fb / z
+    result[:, 2, 1] = camera.fy / z
+    result[:, 2, 2] = -camera.fy * y / z**2
+    return result
+
+
+def pose_jacobian(points: FloatArray) -> FloatArray:
+    """Differentiate ``inverse(a_T_b exp(xi)) X`` by xi at ``X_b = points``, (M, 4, 6)."""
+    x, y, z, w = points.T
+    result = np.zeros((len(points), 4, 6))
+    result[:, 0, 1], result[:, 0, 2] = -z, y
+    result[:, 1, 0], result[:, 1, 2] = z, -x
+    result[:, 2, 0], result[:, 2, 1] = -y, x
+    result[:, 0, 3] = result[:, 1, 4] = result[:, 2, 5] = -w
+    return result
+
+
+def in_front(points: FloatArray) -> BoolArray:
+    """Whether homogeneous points (M, 4) lie before the camera plane, (M,)."""
+    norm = np.linalg.norm(points[:, :3], axis=1)
+    return np.asarray(points[:, 2] > _LEAST_DEPTH_SHARE * norm)
+
+
+@dataclass(frozen=True, slots=True)
+class Sightings:
+    """Stereo pixels of landmarks with their noise: the hot path's view of the observations.
+
+    Attributes
+    ----------
+    landmark
+        (M,) int64.
+    uuv
+        (M, 3) u_left, u_right, v, px.
+    covariance
+        (M, 3, 3) of `uuv`, px^2.
+    """
+
+    landmark: IntArray
+    uuv: FloatArray
+    covariance: FloatArray
+
+    @classmethod
+    def of(cls, observations: StereoObservations | None) -> Sightings:
+        """Take the observations with positive disparity."""
+        if observations is None:
+            return cls(np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty((0, 3, 3)))
+        uuv = np.stack([observations.u_left, observations.u_right, observations.v], axis=-1)
+        keep = uuv[:, 0] > uuv[:, 1]
+        landmark = np.asarray(observations.landmark_id, dtype=np.int64)
+        return cls(landmark[keep], uuv[keep], observations.pixel_covariance()[keep])
+
+    def take(self, rows: IntArray | BoolArray) -> Sightings:
+        """Select the sightings at a mask or an index array."""
+        return Sightings(self.landmark[rows], self.uuv[rows], self.covariance[rows])
+
+    def __len__(self) -> int:
+        """Count the sightings."""
+        return len(self.landmark)
+
+
+def two_view_distance(
+    camera: StereoCamera,
+    first: Sightings,
+    second: Sightings,
+    a_T_b: FloatArray,
+    covariance: FloatArray,
+) -> FloatArray:
+    """Squared Mahalanobis distance (3 dof) of second sightings from the first ones' prediction.
+
+    Parameters
+    ----------
+    camera
+        Of both views.
+    first, second
+        The same landmarks, row by row, in frames `a` and `b`.
+    a_T_b, covariance
+        The motion between the views and its 6x6 covariance, camera axes.
+
+    Returns
+    -------
+    FloatArray
+        (M,); infinite where the landmark would lie behind the second camera.
+    """
+    b_T_a = inverse(a_T_b)
+    points_b = homogeneous(camera, first.uuv) @ b_T_a.T
+    visible = in_front(points_b)
+    points_b = np.where(visible[:, None], points_b, [0.0, 0.0, 1.0, 0.0])
+    jacobian = projection_jacobian(camera, points_b)
+    by_pose = jacobian @ pose_jacobian(points_b)
+    fb = camera.fx * camera.baseline_m
+    by_pixel = np.zeros((4, 3))
+    by_pixel[0, 0], by_pixel[1, 2] = 1.0 / camera.fx, 1.0 / camera.fy
+    by_pixel[3, 0], by_pixel[3, 1] = 1.0 / fb, -1.0 / fb
+    by_first = jacobian @ (b_T_a @ by_pixel)
+    total = (
+        second.covariance
+        + by_first @ first.covariance @ by_first.transpose(0, 2, 1)
+        + by_pose @ covariance @ by_pose.transpose(0, 2, 1)
+    )
+    residual = second.uuv - project(camera, points_b)
+    solved = np.linalg.solve(total, residual[:, :, None])[:, :, 0]
+    distance = np.einsum("mi,mi->m", residual, solved)
+    return np.where(visible, distance, np.inf)
+
+
+@dataclass(frozen=True, slots=True)
+class Tracked:
+    """Which track each sighting of a keyframe belongs to.
+
+    Attributes
+    ----------
+    track
+        (M,) track numbers; a cut track goes on under a new number.
+    linked
+        How many of them continue a track.
+    cut
+        How many continued a landmark id but were not believed to.
+    """
+
+    track: IntArray
+    linked: int
+    cut: int
+
+
+class TrackTable:
+    """The last sighting of every live landmark, and the motions since.
+
+    Parameters
+    ----------
+    camera
+        Of all views.
+    gate_probability, max_gap
+        See `GraphConfig`.
+    """
+
+    def __init__(self, camera: StereoCamera, gate_probability: float, max_gap: int) -> None:
+        self._camera = camera
+        self._gate = float(chi2.ppf(gate_probability, 3))
+        self._max_gap = max_gap
+        self.clear()
+        self._next_track = 0
+
+    def clear(self) -> None:
+        """Forget all sightings; track numbers go on."""
+        self._sightings = Sightings.of(None)
+        self._track = np.empty(0, dtype=np.int64)
+        self._age = np.empty(0, dtype=np.int64)
+        self._motions: list[tuple[FloatArray, FloatArray]] = []
+
+    def _accept(self, old: IntArray, new: IntArray, sightings: Sightings) -> BoolArray:
+        accepted = np.zeros(len(new), dtype=bool)
+        a_T_b, covariance = np.eye(4), np.zeros((6, 6))
+        for age, (step, step_covariance) in enumerate(reversed(self._motions), start=1):
+            carry = adjoint(inverse(a_T_b))
+            covariance = carry @ step_covariance @ carry.T + covariance
+            a_T_b = step @ a_T_b
+            rows = np.flatnonzero(self._age[old] == age)
+            if len(rows):
+                distance = two_view_distance(
+                    self._camera,
+                    self._sightings.take(old[rows]),
+                    sightings.take(new[rows]),
+                    a_T_b,
+                    covariance,
+                )
+                accepted[rows] = distance <= self._gate
+        return accepted
+
+    def add(
+        self, sightings: Sightings, motion: tuple[FloatArray, FloatArray] | None, least: int | None
+    ) -> Tracked:
+        """Enter a keyframe's sightings.
+
+        Parameters
+        ----------
+        sightings
+            Of the keyframe.
+        motion
+            ``a_T_b`` and covariance since the keyframe before; None at the first.
+        least
+            With fewer continued tracks than this all are cut; None cuts all anyway.
+        """
+        if motion is not None:
+            self._motions = [*self._motions, motion][-self._max_gap :]
+            self._age = self._age + 1
+        _, old, new = np.intersect1d(
+            self._sightings.landmark, sightings.landmark, assume_unique=True, return_indices=True
+        )
+        accepted = np.zeros(len(new), dtype=bool)
+        if least is not None:
+            accepted = self._accept(old, new, sightings)
+            if accepted.sum() < least:
+                accepted[:] = False
+        track = np.full(len(sightings), -1, dtype=np.int64)
+        track[new[accepted]] = self._track[old[accepted]]
+        fresh = track < 0
+        track[fresh] = self._next_track + np.arange(fresh.sum())
+        self._next_track += int(fresh.sum())
+        keep = self._age < self._max_gap
+        keep[old] = False
+        self._sightings = Sightings(
+            np.concatenate([self._sightings.landmark[keep], sightings.landmark]),
+            np.concatenate([self._sightings.uuv[keep], sightings.uuv]),
+            np.concatenate([self._sightings.covariance[keep], sightings.covariance]),
+        )
+        self._track = np.concatenate([self._track[keep], track])
+        self._age = np.concatenate([self._age[keep], np.zeros(len(track), dtype=np.int64)])
+        linked = int(accepted.sum())
+        return Tracked(track, linked, len(new) - linked)

@@ -1,0 +1,1 @@
+"""Simulated traverses with exact truth."""
