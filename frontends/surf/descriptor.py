@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontends.surf._jit import njit
-from frontends.surf.lattice import sample_lattice
-from frontends.surf.orientation import LINES, orientation
+from frontends.surf.lattice import LATTICE_LANES, LINE_LENGTH, sample_lattice
+from frontends.surf.orientation import BINS_LENGTH, orientation
 
 _SIGMA = 3.3  # of the weights, in s
-_LATTICE = 22  # lines of the upright lattice
-_SCRATCH = 22 * 4 + 8  # pixels of one lattice row at the largest s
+_LINES = 22  # of the upright lattice
+_LANES = 24  # 20 responses a row, rounded up for SIMD; the weights of the last 4 are zero
 
 
 def window_weights() -> NDArray[np.float32]:
@@ -25,66 +25,70 @@ def window_weights() -> NDArray[np.float32]:
 
     Returns
     -------
-    ndarray (20,) float32
+    ndarray (24,) float32
+        The last four are zero.
     """
-    axis = np.arange(20) - 9.5
-    return np.asarray(np.exp(axis**2 / (-2 * _SIGMA**2)), np.float32)
+    axis = np.arange(_LANES) - 9.5
+    return np.asarray(np.exp(axis**2 / (-2 * _SIGMA**2)) * (axis < 10), np.float32)
 
 
 @njit
-def box_sums(integral: NDArray[np.int32], out: NDArray[np.uint16]) -> None:
+def box_pairs(integral: NDArray[np.int32], out: NDArray[np.uint32]) -> None:
     """Sum 2 x 2 pixels at every position: the samples of the rotated window.
 
     Parameters
     ----------
     integral : ndarray (M, N) int32
         Padded integral image in grey*4.
-    out : ndarray (M - 2, N - 2) uint16
-        ``out[i, j]`` is centred on the pixel edge (i + 1, j + 1).
+    out : ndarray (M - 2, N) uint32
+        The low half of ``out[i, j]`` is the sum centred on the pixel edge (i + 1, j + 1), the
+        high half the one centred on (i + 1, j + 2): one read gives both for interpolation.
+        The last three columns hold nothing of use.
     """
+    columns = np.uint64(out.shape[1])
+    one = np.uint64(1)
+    two = np.uint64(2)
+    three = np.uint64(3)
+    sums = np.zeros(out.shape[1] + 3, np.int32)
     for y in range(out.shape[0]):
-        above = integral[y]
-        below = integral[y + 2]
-        above2 = integral[y][2:]
-        below2 = integral[y + 2][2:]
-        row = out[y]
-        for x in range(row.size):
-            row[x] = np.uint16((below2[x] - above2[x]) - (below[x] - above[x]))
+        for x in range(columns):
+            sums[x] = np.int32(integral[y + 2, x] - integral[y, x])
+        for x in range(columns):
+            low = np.uint32(np.int32(sums[x + two] - sums[x])) & np.uint32(0xFFFF)
+            high = np.uint32(np.int32(sums[x + three] - sums[x + one]))
+            out[y, x] = low | np.uint32(high << np.uint32(16))
 
 
 @njit
-def _accumulate(
-    dx: NDArray[np.float32],
-    dy: NDArray[np.float32],
-    weight: np.float32,
+def _gather_bands(
+    haar: NDArray[np.float32],
+    weights: NDArray[np.float32],
     sums: NDArray[np.float32],
+    out: NDArray[np.float32],
 ) -> None:
-    """Add one row of responses to the column sums of its band of subregions."""
-    sum_x = sums[0]
-    sum_y = sums[1]
-    sum_ax = sums[2]
-    sum_ay = sums[3]
-    for j in range(20):
-        vx = weight * dx[j]
-        vy = weight * dy[j]
-        sum_x[j] += vx
-        sum_y[j] += vy
-        sum_ax[j] += abs(vx)
-        sum_ay[j] += abs(vy)
-
-
-@njit
-def _close_band(
-    sums: NDArray[np.float32], weights: NDArray[np.float32], out: NDArray[np.float32]
-) -> None:
-    """Turn the column sums of a band into its 4 x 4 descriptor entries and clear them."""
-    for block in range(4):
+    """Sum the 20 x 20 responses (2, 20, 24) into the 4 x 4 subregions of eq. 11."""
+    for band in range(4):
+        sums[:] = 0
+        for i in range(5 * band, 5 * band + 5):
+            weight = weights[i]
+            for j in range(_LANES):
+                dx = weight * haar[0, i, j]
+                dy = weight * haar[1, i, j]
+                sums[0, j] += dx
+                sums[1, j] += dy
+                sums[2, j] += abs(dx)
+                sums[3, j] += abs(dy)
         for kind in range(4):
-            total = np.float32(0)
-            for j in range(5 * block, 5 * block + 5):
-                total += weights[j] * sums[kind, j]
-            out[4 * block + kind] = total
-    sums[:] = 0
+            for j in range(_LANES):
+                sums[kind, j] *= weights[j]
+        for block in range(4):
+            for kind in range(4):
+                j = 5 * block
+                out[16 * band + 4 * block + kind] = (
+                    (sums[kind, j] + sums[kind, j + 1])
+                    + (sums[kind, j + 2] + sums[kind, j + 3])
+                    + sums[kind, j + 4]
+                )
 
 
 @njit
@@ -106,8 +110,10 @@ def describe_upright(
     scale: float,
     weights: NDArray[np.float32],
     line: NDArray[np.int32],
+    columns: NDArray[np.uint64],
+    fractions: NDArray[np.int32],
     lattice: NDArray[np.int32],
-    rows: NDArray[np.float32],
+    haar: NDArray[np.float32],
     sums: NDArray[np.float32],
     out: NDArray[np.float32],
 ) -> None:
@@ -121,111 +127,113 @@ def describe_upright(
         Centre, in pixel edges of the padded image.
     scale : float
         s in pixels.
-    weights : ndarray (20,) float32
+    weights : ndarray (24,) float32
         From `window_weights`.
-    line, lattice, rows, sums : ndarray
-        Scratch: int32 (96,), int32 (22, 22), float32 (2, 20), float32 (4, 20).
+    line, columns, fractions, lattice : ndarray
+        Scratch of `sample_lattice`, the lattice (22, 32).
+    haar, sums : ndarray
+        Scratch: float32 (2, 20, 24), float32 (4, 24).
     out : ndarray (64,) float32
     """
-    sample_lattice(integral, x, y, scale, line, lattice)
-    sums[:] = 0
-    dx = rows[0]
-    dy = rows[1]
+    sample_lattice(integral, x, y, scale, _LINES, line, columns, fractions, lattice)
     for i in range(20):
-        top = lattice[i]
-        middle = lattice[i + 1]
-        bottom = lattice[i + 2]
-        for j in range(20):
-            left = bottom[j] - top[j]
-            centre = bottom[j + 1] - top[j + 1]
-            right = bottom[j + 2] - top[j + 2]
-            dx[j] = np.float32(np.int32(right - 2 * centre + left))
-            first = bottom[j] - 2 * middle[j] + top[j]
-            last = bottom[j + 2] - 2 * middle[j + 2] + top[j + 2]
-            dy[j] = np.float32(np.int32(last - first))
-        _accumulate(dx, dy, weights[i], sums)
-        if i % 5 == 4:
-            _close_band(sums, weights, out[16 * (i // 5) : 16 * (i // 5) + 16])
+        for j in range(_LANES):
+            left = lattice[i + 2, j] - lattice[i, j]
+            centre = lattice[i + 2, j + 1] - lattice[i, j + 1]
+            right = lattice[i + 2, j + 2] - lattice[i, j + 2]
+            first = lattice[i + 2, j] - 2 * lattice[i + 1, j] + lattice[i, j]
+            last = lattice[i + 2, j + 2] - 2 * lattice[i + 1, j + 2] + lattice[i, j + 2]
+            haar[0, i, j] = np.float32(np.int32(right - 2 * centre + left))
+            haar[1, i, j] = np.float32(np.int32(last - first))
+    _gather_bands(haar, weights, sums, out)
     _normalise(out)
 
 
 @njit
 def describe_rotated(
-    boxes: NDArray[np.uint16],
+    boxes: NDArray[np.uint32],
     x: float,
     y: float,
     scale: float,
     angle: float,
     weights: NDArray[np.float32],
-    patch: NDArray[np.float32],
+    index: NDArray[np.uint64],
     rows: NDArray[np.float32],
+    pairs: NDArray[np.uint32],
+    patch: NDArray[np.float32],
+    haar: NDArray[np.float32],
     sums: NDArray[np.float32],
     out: NDArray[np.float32],
 ) -> None:
     """Descriptor (eq. 11) in a window turned by `angle`.
 
-    The means of boxes are interpolated at 21 x 21 points of pitch s; a response is the
+    The sums of 2 x 2 boxes are interpolated at 21 x 21 points of pitch s; a response is the
     difference of the two pairs of points around it, as in a Haar wavelet of side 2s.
 
     Parameters
     ----------
-    boxes : ndarray uint16
-        From `box_sums`.
+    boxes : ndarray uint32
+        From `box_pairs`.
     x, y : float
         Centre, in pixel edges of the padded image.
     scale : float
         s in pixels.
     angle : float
         Radians from the x axis towards the y axis.
-    weights : ndarray (20,) float32
+    weights : ndarray (24,) float32
         From `window_weights`.
-    patch, rows, sums : ndarray float32
-        Scratch: (21, 21), (2, 20), (4, 20).
+    index, rows, pairs, patch, haar, sums : ndarray
+        Scratch: uint64 (24,), float32 (2, 24), uint32 (2, 24), float32 (21, 32),
+        float32 (2, 20, 24), float32 (4, 24).
     out : ndarray (64,) float32
     """
     cos = np.float32(scale * math.cos(angle))
     sin = np.float32(scale * math.sin(angle))
     half = np.float32(10)
+    flat = boxes.reshape(-1)
+    stride = boxes.shape[1]
+    below = np.uint64(stride)
+    low = np.uint32(0xFFFF)
+    high = np.uint32(16)
     for i in range(21):
         v = np.float32(i) - half
         start_x = np.float32(x - 1) - half * cos - v * sin
         start_y = np.float32(y - 1) - half * sin + v * cos
-        target = patch[i]
-        for j in range(21):
-            px = start_x + np.float32(j) * cos
-            py = start_y + np.float32(j) * sin
+        for j in range(_LANES):
+            # the lanes beyond 21 repeat the last point, which is inside
+            step = np.float32(min(j, 20))
+            px = start_x + step * cos
+            py = start_y + step * sin
             ix = np.int32(px)
             iy = np.int32(py)
-            fx = px - np.float32(ix)
-            fy = py - np.float32(iy)
-            a = np.float32(boxes[iy, ix])
-            b = np.float32(boxes[iy, ix + 1])
-            c = np.float32(boxes[iy + 1, ix])
-            d = np.float32(boxes[iy + 1, ix + 1])
-            upper = a + fx * (b - a)
-            lower = c + fx * (d - c)
-            target[j] = upper + fy * (lower - upper)
-    sums[:] = 0
-    dx = rows[0]
-    dy = rows[1]
+            rows[0, j] = px - np.float32(ix)
+            rows[1, j] = py - np.float32(iy)
+            index[j] = np.uint64(np.int64(iy) * stride + ix)
+        for j in range(_LANES):
+            pairs[0, j] = flat[index[j]]
+            pairs[1, j] = flat[index[j] + below]
+        for j in range(_LANES):
+            a = np.float32(np.int32(pairs[0, j] & low))
+            b = np.float32(np.int32(pairs[0, j] >> high))
+            c = np.float32(np.int32(pairs[1, j] & low))
+            d = np.float32(np.int32(pairs[1, j] >> high))
+            upper = a + rows[0, j] * (b - a)
+            lower = c + rows[0, j] * (d - c)
+            patch[i, j] = upper + rows[1, j] * (lower - upper)
     for i in range(20):
-        top = patch[i]
-        bottom = patch[i + 1]
-        for j in range(20):
-            falling = bottom[j + 1] - top[j]
-            rising = bottom[j] - top[j + 1]
-            dx[j] = falling - rising
-            dy[j] = falling + rising
-        _accumulate(dx, dy, weights[i], sums)
-        if i % 5 == 4:
-            _close_band(sums, weights, out[16 * (i // 5) : 16 * (i // 5) + 16])
+        for j in range(_LANES):
+            falling = patch[i + 1, j + 1] - patch[i, j]
+            rising = patch[i + 1, j] - patch[i, j + 1]
+            haar[0, i, j] = falling - rising
+            haar[1, i, j] = falling + rising
+    _gather_bands(haar, weights, sums, out)
     _normalise(out)
 
 
 @njit
 def describe_level(
     integral: NDArray[np.int32],
-    boxes: NDArray[np.uint16],
+    boxes: NDArray[np.uint32],
     upright: bool,
     assign: bool,
     centres: NDArray[np.float32],
@@ -242,8 +250,8 @@ def describe_level(
     ----------
     integral : ndarray int32
         Padded integral image of the level.
-    boxes : ndarray uint16
-        From `box_sums`; not read when `upright`.
+    boxes : ndarray uint32
+        From `box_pairs`; not read when `upright`.
     upright : bool
         True: angle 0.
     assign : bool
@@ -260,20 +268,68 @@ def describe_level(
         Radians; written if `assign`.
     out : ndarray (N, 64) float32
     """
-    line = np.empty(_SCRATCH, np.int32)
-    lattice = np.empty((_LATTICE, _LATTICE), np.int32)
-    coarse = np.empty((LINES, LINES), np.int32)
-    bins = np.empty((2, 72), np.float32)
-    patch = np.empty((21, 21), np.float32)
-    rows = np.empty((2, 20), np.float32)
-    sums = np.empty((4, 20), np.float32)
+    line = np.zeros(LINE_LENGTH, np.int32)
+    columns = np.zeros(LATTICE_LANES, np.uint64)
+    fractions = np.zeros(LATTICE_LANES, np.int32)
+    lattice = np.zeros((_LINES, LATTICE_LANES + 8), np.int32)
+    index = np.zeros(_LANES, np.uint64)
+    rows = np.zeros((2, _LANES), np.float32)
+    pairs = np.zeros((2, _LANES), np.uint32)
+    patch = np.zeros((21, _LANES + 8), np.float32)
+    haar = np.zeros((2, 20, _LANES), np.float32)
+    sums = np.zeros((4, _LANES), np.float32)
+    directions = np.zeros((2, 13, 16), np.float32)
+    bin_of = np.zeros((13, 16), np.int32)
+    sectors = np.zeros((2, BINS_LENGTH), np.float32)
+    work = np.zeros((2, BINS_LENGTH), np.float32)
     for i in order:
         x = float(centres[i, 0])
         y = float(centres[i, 1])
         scale = float(scales[i])
         if upright:
-            describe_upright(integral, x, y, scale, window, line, lattice, rows, sums, out[i])
+            describe_upright(
+                integral,
+                x,
+                y,
+                scale,
+                window,
+                line,
+                columns,
+                fractions,
+                lattice,
+                haar,
+                sums,
+                out[i],
+            )
             continue
         if assign:
-            angles[i] = orientation(integral, x, y, scale, samples, line, coarse, bins)
-        describe_rotated(boxes, x, y, scale, float(angles[i]), window, patch, rows, sums, out[i])
+            angles[i] = orientation(
+                integral,
+                x,
+                y,
+                scale,
+                samples,
+                line,
+                columns,
+                fractions,
+                lattice,
+                directions,
+                bin_of,
+                sectors,
+                work,
+            )
+        describe_rotated(
+            boxes,
+            x,
+            y,
+            scale,
+            float(angles[i]),
+            window,
+            index,
+            rows,
+            pairs,
+            patch,
+            haar,
+            sums,
+            out[i],
+        )

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontends.surf._jit import njit
-from frontends.surf.integral import FRACTION_BITS, PAD
+from frontends.surf.integral import FRACTION_BITS, PAD, padded_length
 
 WEIGHT2 = np.float32(0.81)  # 0.9^2, eq. 10
 _RING = 64  # integral rows kept in 16 bits: a power of two, more than the tallest filter
@@ -34,63 +34,97 @@ def lobe_shift(lobe: int) -> int:
 
 
 @njit
-def _narrow(row: NDArray[np.int32], shift: int, out: NDArray[np.int16]) -> None:
-    for x in range(out.size):
-        out[x] = np.int16(row[x] >> shift)
-
-
-@njit
-def _narrow_both(
-    row: NDArray[np.int32], shifts: tuple[int, int], slot: int, rings: NDArray[np.int16]
+def _narrow(
+    integral: NDArray[np.int32],
+    row: int,
+    n: int,
+    shift0: int,
+    shift1: int,
+    rings: NDArray[np.int16],
+    slot: int,
 ) -> None:
-    _narrow(row, FRACTION_BITS + shifts[0], rings[0, slot])
-    _narrow(row, FRACTION_BITS + shifts[1], rings[1, slot])
+    """Copy one row of the integral, cut to 16 bits, into both rings."""
+    first = np.uint64(PAD)
+    for x in range(np.uint64(n)):
+        value = integral[row, first + x]
+        rings[0, slot, x] = np.int16(value >> shift0)
+        rings[1, slot, x] = np.int16(value >> shift1)
+
+
+# In the next three, the arguments ya.. are rows and xa.. column offsets of the cumulative
+# edges a <= b <= c <= d. Rows are passed as indices because slices cost a reference count each,
+# and indices are unsigned because signed ones get a test for negative values in the loop.
 
 
 @njit
 def _second_difference(
-    a: NDArray[np.int16],
-    b: NDArray[np.int16],
-    c: NDArray[np.int16],
-    d: NDArray[np.int16],
-    out: NDArray[np.int16],
+    source: NDArray[np.int16],
+    rows: tuple[int, int, int, int],
+    columns: tuple[int, int, int, int],
+    work: NDArray[np.int16],
+    target: int,
+    n: int,
 ) -> None:
-    """Sum of the outer lobes minus twice the middle one, from the four cumulative edges."""
-    for x in range(out.size):
-        out[x] = np.int16(d[x] - a[x] + 3 * (b[x] - c[x]))
+    """Sum of the outer lobes minus twice the middle one."""
+    ya, yb, yc, yd = rows
+    xa, xb, xc, xd = columns
+    xa, xb, xc, xd = np.uint64(xa), np.uint64(xb), np.uint64(xc), np.uint64(xd)
+    for x in range(np.uint64(n)):
+        work[target, x] = np.int16(
+            source[yd, x + xd] - source[ya, x + xa] + 3 * (source[yb, x + xb] - source[yc, x + xc])
+        )
 
 
 @njit
-def _difference(a: NDArray[np.int16], b: NDArray[np.int16], out: NDArray[np.int16]) -> None:
-    for x in range(out.size):
-        out[x] = np.int16(b[x] - a[x])
+def _difference(
+    source: NDArray[np.int16],
+    rows: tuple[int, int],
+    columns: tuple[int, int],
+    work: NDArray[np.int16],
+    target: int,
+    n: int,
+) -> None:
+    """Sum between two edges."""
+    ya, yb = rows
+    xa, xb = np.uint64(columns[0]), np.uint64(columns[1])
+    for x in range(np.uint64(n)):
+        work[target, x] = np.int16(source[yb, x + xb] - source[ya, x + xa])
 
 
 @njit
 def _lobe_difference(
-    a: NDArray[np.int16],
-    b: NDArray[np.int16],
-    c: NDArray[np.int16],
-    d: NDArray[np.int16],
-    out: NDArray[np.int16],
+    source: NDArray[np.int16],
+    rows: tuple[int, int, int, int],
+    columns: tuple[int, int, int, int],
+    work: NDArray[np.int16],
+    target: int,
+    n: int,
 ) -> None:
-    """First lobe minus second lobe, from the four cumulative edges."""
-    for x in range(out.size):
-        out[x] = np.int16((b[x] - a[x]) - (d[x] - c[x]))
+    """First lobe minus second lobe."""
+    ya, yb, yc, yd = rows
+    xa, xb, xc, xd = columns
+    xa, xb, xc, xd = np.uint64(xa), np.uint64(xb), np.uint64(xc), np.uint64(xd)
+    for x in range(np.uint64(n)):
+        work[target, x] = np.int16(
+            (source[yb, x + xb] - source[ya, x + xa]) - (source[yd, x + xd] - source[yc, x + xc])
+        )
 
 
 @njit
 def _determinant(
-    dxx: NDArray[np.int16],
-    dyy: NDArray[np.int16],
-    dxy: NDArray[np.int16],
+    work: NDArray[np.int16],
     scale: np.float32,
     scale_xy: np.float32,
     out: NDArray[np.float32],
+    layer: int,
+    slot: int,
+    n: int,
 ) -> None:
-    for x in range(out.size):
-        xy = np.float32(dxy[x])
-        out[x] = scale * (np.float32(dxx[x]) * np.float32(dyy[x])) - scale_xy * (xy * xy)
+    for x in range(np.uint64(n)):
+        xy = np.float32(work[5, x])
+        out[layer, slot, x] = scale * (
+            np.float32(work[3, x]) * np.float32(work[4, x])
+        ) - scale_xy * (xy * xy)
 
 
 @njit
@@ -99,110 +133,135 @@ def dense_row(
     y: int,
     lobe: int,
     margin: int,
+    n: int,
     shift: int,
     work: NDArray[np.int16],
     out: NDArray[np.float32],
+    layer: int,
+    slot: int,
 ) -> None:
-    """Responses of one filter along image row `y`, for columns margin <= x < W - margin.
+    """Responses of one filter along image row `y`, for columns margin <= x < margin + n.
 
     Parameters
     ----------
-    ring : ndarray (64, W + 1) int16
+    ring : ndarray (64, >= n + 2 margin + 1) int16
         Integral rows modulo 2^16, row r of the image's integral at r % 64.
     y : int
         Image row.
     lobe : int
         l = L / 3 of the filter.
     margin : int
-        Columns left out on each side, at least the half filter.
+        Columns left out on the left, at least the half filter.
+    n : int
+        Columns, a multiple of `LANES`; those beyond the image get nothing of use.
     shift : int
         Bits dropped in `ring`.
-    work : ndarray (6, W + 1) int16
+    work : ndarray (6, as `ring`) int16
         Scratch rows.
-    out : ndarray (W,) float32
-        Written inside the margins only.
+    out : ndarray (2, 4, >= n) float32
+        Written at [layer, slot, x - margin].
     """
     half = lobe + lobe // 2  # the filter covers y - half .. y + half
     inner = lobe // 2
     wing = lobe - 1  # a lobe's long side covers y - wing .. y + wing
     mask = _RING - 1
-    n = out.size - 2 * margin
+    reach = n + padded_length(2 * margin + 1)
+    tall = (-half, -inner, inner + 1, half + 1)
+    cross = (-lobe, 0, 1, lobe + 1)
 
-    rows_yy = work[0]
-    rows_xx = work[1]
-    rows_xy = work[2]
-    _second_difference(
-        ring[(y - half) & mask],
-        ring[(y - inner) & mask],
-        ring[(y + inner + 1) & mask],
-        ring[(y + half + 1) & mask],
-        rows_yy,
+    still = (0, 0, 0, 0)
+    rows = (
+        (y + tall[0]) & mask,
+        (y + tall[1]) & mask,
+        (y + tall[2]) & mask,
+        (y + tall[3]) & mask,
     )
-    _difference(ring[(y - wing) & mask], ring[(y + wing + 1) & mask], rows_xx)
-    _lobe_difference(
-        ring[(y - lobe) & mask],
-        ring[y & mask],
-        ring[(y + 1) & mask],
-        ring[(y + lobe + 1) & mask],
-        rows_xy,
+    _second_difference(ring, rows, still, work, 0, reach)
+    _difference(ring, ((y - wing) & mask, (y + wing + 1) & mask), (0, 0), work, 1, reach)
+    rows = (
+        (y + cross[0]) & mask,
+        y & mask,
+        (y + 1) & mask,
+        (y + cross[3]) & mask,
     )
+    _lobe_difference(ring, rows, still, work, 2, reach)
 
-    dxx = work[3][:n]
-    dyy = work[4][:n]
-    dxy = work[5][:n]
-    _difference(rows_yy[margin - wing :], rows_yy[margin + wing + 1 :], dyy)
-    _second_difference(
-        rows_xx[margin - half :],
-        rows_xx[margin - inner :],
-        rows_xx[margin + inner + 1 :],
-        rows_xx[margin + half + 1 :],
-        dxx,
-    )
-    _lobe_difference(
-        rows_xy[margin - lobe :],
-        rows_xy[margin:],
-        rows_xy[margin + 1 :],
-        rows_xy[margin + lobe + 1 :],
-        dxy,
-    )
+    columns = (margin + tall[0], margin + tall[1], margin + tall[2], margin + tall[3])
+    _second_difference(work, (1, 1, 1, 1), columns, work, 3, n)
+    _difference(work, (0, 0), (margin - wing, margin + wing + 1), work, 4, n)
+    columns = (margin + cross[0], margin, margin + 1, margin + cross[3])
+    _lobe_difference(work, (2, 2, 2, 2), columns, work, 5, n)
+
     unit = np.float32(1 << shift)
     area = np.float32(lobe * (2 * lobe - 1))
     area_xy = np.float32(lobe * lobe)
     _determinant(
-        dxx,
-        dyy,
-        dxy,
+        work,
         (unit / area) * (unit / area),
         WEIGHT2 * (unit / area_xy) * (unit / area_xy),
-        out[margin : margin + n],
+        out,
+        layer,
+        slot,
+        n,
     )
 
 
 @njit
-def _maximum(a: NDArray[np.float32], b: NDArray[np.float32], out: NDArray[np.float32]) -> None:
-    for x in range(out.size):
-        out[x] = a[x] if a[x] > b[x] else b[x]
+def _best_of_layers(
+    dense: NDArray[np.float32], slot: int, best: NDArray[np.float32], n: int
+) -> None:
+    for x in range(np.uint64(n)):
+        a = dense[0, slot, x]
+        b = dense[1, slot, x]
+        best[slot, x] = a if a > b else b
 
 
 @njit
 def _flag_maxima(
-    centre: NDArray[np.float32],
+    best: NDArray[np.float32],
+    centre: int,
+    least: np.float32,
     column: NDArray[np.float32],
-    threshold: np.float32,
-    out: NDArray[np.uint8],
+    flags: NDArray[np.uint8],
+    n: int,
 ) -> None:
-    """Flag where `centre` tops `threshold` and the 3-wide maximum of `column`."""
-    left = column[:-2]
-    middle = column[1:-1]
-    right = column[2:]
-    for x in range(out.size):
-        c = centre[x]
-        out[x] = (c > threshold) & (c >= left[x]) & (c >= middle[x]) & (c >= right[x])
+    """Flag where row `centre` reaches `least` and the maximum of its 3 x 3 neighbourhood.
+
+    ``flags[x]`` is for column x + 1 of `best`.
+    """
+    above = (centre - 1) & 3
+    middle = centre & 3
+    below = (centre + 1) & 3
+    for x in range(np.uint64(n)):
+        top = best[above, x] if best[above, x] > best[middle, x] else best[middle, x]
+        column[x] = top if top > best[below, x] else best[below, x]
+    one = np.uint64(1)
+    two = np.uint64(2)
+    for x in range(np.uint64(n)):
+        top = column[x] if column[x] > column[x + one] else column[x + one]
+        top = top if top > column[x + two] else column[x + two]
+        top = top if top > least else least
+        flags[x] = best[middle, x + one] >= top
+
+
+@njit
+def _first_of_ties(dense: NDArray[np.float32], layer: int, centre: int, k: int) -> bool:
+    """Whether no neighbour before (layer, centre, k) in scan order is as high."""
+    value = dense[layer, centre & 3, k]
+    for other in range(layer + 1):
+        for row in range(centre - 1, centre + 2):
+            for col in range(k - 1, k + 2):
+                if other == layer and row == centre and col == k:
+                    return True
+                if dense[other, row & 3, col] >= value:
+                    return False
+    return True
 
 
 @njit
 def detect_pair(
     integral: NDArray[np.int32],
+    w: int,
     lobe: int,
     threshold: np.float32,
     single: bool,
@@ -216,8 +275,10 @@ def detect_pair(
 
     Parameters
     ----------
-    integral : ndarray (H + 2 PAD + 1, W + 2 PAD + 1) int32
-        Padded integral image in grey*4.
+    integral : ndarray (H + 2 PAD + 1, N) int32
+        Padded integral image in grey*4, from `integral_image`.
+    w : int
+        Width W of the level.
     lobe : int
         l of the lower layer; the upper one has l + 2.
     threshold : float
@@ -235,7 +296,6 @@ def detect_pair(
         Number of candidates; above C, only C were stored.
     """
     h = integral.shape[0] - 2 * PAD - 1
-    w = integral.shape[1] - 2 * PAD - 1
     lobes = (lobe, lobe + 2)
     margin = lobes[1] + lobes[1] // 2  # half of the upper filter
     shifts = (lobe_shift(lobe), lobe_shift(lobe + 2))
@@ -244,77 +304,63 @@ def detect_pair(
     if h <= 2 * margins[0] or w <= 2 * margins[0]:
         return 0
 
-    rings = np.empty((2, _RING, w + 1), np.int16)
-    work = np.empty((6, w + 1), np.int16)
-    dense = np.empty((2, 4, w), np.float32)  # the last rows of each layer's responses
-    best = np.empty((4, w), np.float32)  # and of the larger of the two
-    column = np.empty(w, np.float32)
-    flag_words = np.zeros((w + 7) // 8, np.uint64)
+    n = padded_length(w - 2 * margin)  # columns evaluated
+    reach = n + padded_length(2 * margin + 1)  # integral columns they need
+    available = min(reach, integral.shape[1] - PAD)
+    rings = np.zeros((2, _RING, reach), np.int16)
+    work = np.zeros((6, reach), np.int16)
+    dense = np.zeros((2, 4, n), np.float32)  # the last rows of each layer's responses
+    best = np.zeros((4, n + 2), np.float32)  # and of the larger of the two
+    column = np.zeros(n + 2, np.float32)
+    flag_words = np.zeros(n // 8, np.uint64)
     flags = flag_words.view(np.uint8)
-    inside = w - 2 * margins[0]
+    above = np.nextafter(threshold, np.float32(np.inf))
+    drop0 = FRACTION_BITS + shifts[0]
+    drop1 = FRACTION_BITS + shifts[1]
+    mask = _RING - 1
     capacity = positions.shape[0]
     count = 0
 
-    mask = _RING - 1
     for y in range(2 * margin + 1):
-        _narrow_both(integral[PAD + y][PAD:], shifts, y & mask, rings)
+        _narrow(integral, PAD + y, available, drop0, drop1, rings, y & mask)
     for y in range(margin, h - margin):
-        below = y + margin + 1
-        _narrow_both(integral[PAD + below][PAD:], shifts, below & mask, rings)
+        newest = y + margin + 1
+        _narrow(integral, PAD + newest, available, drop0, drop1, rings, newest & mask)
         slot = y & 3
-        dense_row(rings[0], y, lobes[0], margin, shifts[0], work, dense[0, slot])
-        dense_row(rings[1], y, lobes[1], margin, shifts[1], work, dense[1, slot])
-        _maximum(
-            dense[0, slot][margin : w - margin],
-            dense[1, slot][margin : w - margin],
-            best[slot][margin : w - margin],
-        )
+        dense_row(rings[0], y, lobes[0], margin, n, shifts[0], work, dense, 0, slot)
+        dense_row(rings[1], y, lobes[1], margin, n, shifts[1], work, dense, 1, slot)
+        _best_of_layers(dense, slot, best, n)
         centre = y - 1
         if centre <= margin:
             continue
-        a = best[(centre - 1) & 3][margin : w - margin]
-        b = best[centre & 3][margin : w - margin]
-        c = best[(centre + 1) & 3][margin : w - margin]
-        tops = column[: w - 2 * margin]
-        for x in range(tops.size):
-            top = a[x] if a[x] > b[x] else b[x]
-            tops[x] = top if top > c[x] else c[x]
-        _flag_maxima(best[centre & 3][margins[0] : w - margins[0]], tops, threshold, flags[:inside])
+        _flag_maxima(best, centre, above, column, flags, n)
         for word in range(flag_words.size):
             if flag_words[word] == 0:
                 continue
-            for x in range(8 * word + margins[0], min(8 * word + 8 + margins[0], w - margins[0])):
-                if flags[x - margins[0]] == 0:
+            for flag in range(8 * word, 8 * word + 8):
+                if flags[flag] == 0:
                     continue
+                k = flag + 1  # column in `dense`
+                x = k + margin
                 mid = centre & 3
-                layer = 0 if dense[0, mid, x] >= dense[1, mid, x] else 1
+                layer = 0 if dense[0, mid, k] >= dense[1, mid, k] else 1
                 if layer == 1 and single:
                     continue
                 edge = margins[layer]
                 if centre < edge or centre >= h - edge or x < edge or x >= w - edge:
                     continue
-                value = dense[layer, mid, x]
-                first = True
-                maximal = True
-                for other in range(2):
-                    for row in range(-1, 2):
-                        for col in range(-1, 2):
-                            if other == layer and row == 0 and col == 0:
-                                first = False
-                            elif first and dense[other, (centre + row) & 3, x + col] >= value:
-                                maximal = False
-                if not maximal:
+                if not _first_of_ties(dense, layer, centre, k):
                     continue
                 if count < capacity:
                     positions[count, 0] = layer
                     positions[count, 1] = centre
                     positions[count, 2] = x
-                    k = 0
+                    i = 0
                     for other in range(2):
-                        for row in range(-1, 2):
-                            for col in range(-1, 2):
-                                neighbours[count, k] = dense[other, (centre + row) & 3, x + col]
-                                k += 1
+                        for row in range(centre - 1, centre + 2):
+                            for col in range(k - 1, k + 2):
+                                neighbours[count, i] = dense[other, row & 3, col]
+                                i += 1
                 count += 1
     return count
 
@@ -342,32 +388,32 @@ def response_at(
     half = lobe + lobe // 2
     inner = lobe // 2
     wing = lobe - 1
-    # The second differences mod 2^32 are exact, as int32 wrap-around is.
-    a = integral[row - half]
-    b = integral[row - inner]
-    c = integral[row + inner + 1]
-    d = integral[row + half + 1]
-    x0 = column - wing
-    x1 = column + wing + 1
-    dyy = np.int32((d[x1] - d[x0]) - (a[x1] - a[x0]) + 3 * ((b[x1] - b[x0]) - (c[x1] - c[x0])))
-    a = integral[row - wing]
-    b = integral[row + wing + 1]
-    x0 = column - half
-    x1 = column - inner
-    x2 = column + inner + 1
-    x3 = column + half + 1
-    dxx = np.int32((b[x3] - a[x3]) - (b[x0] - a[x0]) + 3 * ((b[x1] - a[x1]) - (b[x2] - a[x2])))
-    a = integral[row - lobe]
-    b = integral[row]
-    c = integral[row + 1]
-    d = integral[row + lobe + 1]
-    x0 = column - lobe
-    x1 = column
-    x2 = column + 1
-    x3 = column + lobe + 1
-    top = (b[x1] - b[x0]) - (a[x1] - a[x0]) - (b[x3] - b[x2]) + (a[x3] - a[x2])
-    bottom = (d[x1] - d[x0]) - (c[x1] - c[x0]) - (d[x3] - d[x2]) + (c[x3] - c[x2])
-    dxy = np.int32(top - bottom)
+    # Sums wrap modulo 2^32, which the cast of each result undoes. Unsigned indices: see above.
+    y0, y1 = np.uint64(row - half), np.uint64(row - inner)
+    y2, y3 = np.uint64(row + inner + 1), np.uint64(row + half + 1)
+    x0, x1 = np.uint64(column - wing), np.uint64(column + wing + 1)
+    dyy = np.int32(
+        (integral[y3, x1] - integral[y3, x0])
+        - (integral[y0, x1] - integral[y0, x0])
+        + 3 * ((integral[y1, x1] - integral[y1, x0]) - (integral[y2, x1] - integral[y2, x0]))
+    )
+    y0, y1 = np.uint64(row - wing), np.uint64(row + wing + 1)
+    x0, x1 = np.uint64(column - half), np.uint64(column - inner)
+    x2, x3 = np.uint64(column + inner + 1), np.uint64(column + half + 1)
+    dxx = np.int32(
+        (integral[y1, x3] - integral[y0, x3])
+        - (integral[y1, x0] - integral[y0, x0])
+        + 3 * ((integral[y1, x1] - integral[y0, x1]) - (integral[y1, x2] - integral[y0, x2]))
+    )
+    y0, y1 = np.uint64(row - lobe), np.uint64(row)
+    y2, y3 = np.uint64(row + 1), np.uint64(row + lobe + 1)
+    x0, x1 = np.uint64(column - lobe), np.uint64(column)
+    x2, x3 = np.uint64(column + 1), np.uint64(column + lobe + 1)
+    left = (integral[y1, x1] - integral[y1, x0]) - (integral[y0, x1] - integral[y0, x0])
+    left -= (integral[y3, x1] - integral[y3, x0]) - (integral[y2, x1] - integral[y2, x0])
+    right = (integral[y1, x3] - integral[y1, x2]) - (integral[y0, x3] - integral[y0, x2])
+    right -= (integral[y3, x3] - integral[y3, x2]) - (integral[y2, x3] - integral[y2, x2])
+    dxy = np.int32(left - right)
     scale = np.float32(1.0 / ((1 << FRACTION_BITS) * lobe * (2 * lobe - 1)))
     scale_xy = np.float32(1.0 / ((1 << FRACTION_BITS) * lobe * lobe))
     xx = scale * np.float32(dxx)
@@ -382,6 +428,7 @@ def refine(
     lobe: int,
     position: NDArray[np.int32],
     dense: NDArray[np.float32],
+    cube: NDArray[np.float32],
     out: NDArray[np.float32],
 ) -> bool:
     """Check one candidate against its outer layer and interpolate it (3-D quadratic).
@@ -395,6 +442,8 @@ def refine(
     position : ndarray (3,) int32
     dense : ndarray (18,) float32
         As stored by `detect_pair`.
+    cube : ndarray (3, 3, 3) float32
+        Scratch.
     out : ndarray (5,) float32
         x, y (pixels of this level), size (side L of the filter), response, trace.
 
@@ -406,7 +455,6 @@ def refine(
     layer = position[0]
     row = position[1] + PAD
     col = position[2] + PAD
-    cube = np.empty((3, 3, 3), np.float32)
     outer = 0 if layer == 0 else 2
     k = 0
     for i in range(2):
@@ -416,12 +464,13 @@ def refine(
                 k += 1
     value = cube[1, 1, 1]
     outer_lobe = lobe - 2 if layer == 0 else lobe + 4
-    for j in range(3):
-        for m in range(3):
-            det, _ = response_at(integral, row + j - 1, col + m - 1, outer_lobe)
-            if det >= value:
-                return False
-            cube[outer, j, m] = det
+    for step in range(9):
+        # from the centre outwards (4, 5, 3, 6 ..): it decides most often
+        k = 4 + (step + 1) // 2 * (1 if step % 2 == 1 else -1)
+        det, _ = response_at(integral, row + k // 3 - 1, col + k % 3 - 1, outer_lobe)
+        if det >= value:
+            return False
+        cube[outer, k // 3, k % 3] = det
 
     gx = np.float32(0.5) * (cube[1, 1, 2] - cube[1, 1, 0])
     gy = np.float32(0.5) * (cube[1, 2, 1] - cube[1, 0, 1])
@@ -465,14 +514,14 @@ def refine_all(
     lobe: int,
     positions: NDArray[np.int32],
     neighbours: NDArray[np.float32],
-    count: int,
+    chosen: NDArray[np.int64],
     out: NDArray[np.float32],
 ) -> int:
-    """Refine the first `count` candidates; see `refine`.
+    """Refine the candidates `chosen`, in that order; see `refine`.
 
     Parameters
     ----------
-    out : ndarray (count, 5) float32
+    out : ndarray (len(chosen), 5) float32
         Filled from the top.
 
     Returns
@@ -480,8 +529,9 @@ def refine_all(
     int
         Rows of `out` filled.
     """
+    cube = np.empty((3, 3, 3), np.float32)
     kept = 0
-    for i in range(count):
-        if refine(integral, lobe, positions[i], neighbours[i], out[kept]):
+    for i in chosen:
+        if refine(integral, lobe, positions[i], neighbours[i], cube, out[kept]):
             kept += 1
     return kept

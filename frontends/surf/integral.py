@@ -18,8 +18,15 @@ from numpy.typing import NDArray
 
 from frontends.surf._jit import njit
 
+LANES = 64  # row lengths of hot loops are multiples of this: no scalar remainder after SIMD
 PAD = 56  # >= 10 * sqrt(2) * 3.6 + 3: the widest rotated descriptor window, in pixels
 FRACTION_BITS = 2  # integral images hold sums of grey * 2**FRACTION_BITS
+
+
+@njit
+def padded_length(length: int) -> int:
+    """Round a row length up to a multiple of `LANES`."""
+    return (length + LANES - 1) // LANES * LANES
 
 
 @njit
@@ -60,11 +67,11 @@ def integrate(image: NDArray[Any], shift: int, out: NDArray[np.int32]) -> None:
     image : ndarray (H, W) uint8 or uint16
     shift : int
         2 for uint8 grey, 0 for a level that is already in grey*4.
-    out : ndarray (H + 2 PAD + 1, W + 2 PAD + 1) int32
+    out : ndarray (H + 2 PAD + 1, >= W + 2 PAD + 1) int32
+        Columns beyond W + 2 PAD + 1 hold nothing of use.
     """
     h, w = image.shape
-    sums = np.empty(w + 2 * PAD + 1, np.int32)
-    sums[0] = 0
+    sums = np.zeros(out.shape[1], np.int32)
     out[0, :] = 0
     target = 0
     for y in range(h):
@@ -106,11 +113,13 @@ def integral_image(image: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArray[np.
 
     Returns
     -------
-    ndarray (H + 2 PAD + 1, W + 2 PAD + 1) int32
-        Sums of grey*4, modulo 2**32.
+    ndarray (H + 2 PAD + 1, N) int32
+        Sums of grey*4, modulo 2**32. N >= W + 2 PAD + 1; columns beyond
+        W + 2 PAD + 1 hold nothing of use.
     """
     h, w = image.shape
-    out = np.empty((h + 2 * PAD + 1, w + 2 * PAD + 1), np.int32)
+    columns = int(padded_length(w + 2 * PAD + 1 + LANES))
+    out = np.empty((h + 2 * PAD + 1, columns), np.int32)
     integrate(image, FRACTION_BITS if image.dtype == np.uint8 else 0, out)
     return out
 

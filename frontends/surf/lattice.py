@@ -14,6 +14,9 @@ from frontends.surf._jit import njit
 # Fraction bits of the bilinear weights in each direction. Sums over the largest Haar wavelet
 # (half of 4s x 4s at s = 3.6, grey*4) times 2^14 stay below 2^31; lattice values themselves wrap.
 WEIGHT_BITS = 7
+LATTICE_LANES = 24  # columns of a lattice buffer: the n in use, rounded up for SIMD
+LINE_LENGTH = 128  # of the scratch line: 21 * 3.6 + 3 pixels, rounded up to _CHUNK
+_CHUNK = 32
 
 
 @njit
@@ -22,7 +25,10 @@ def sample_lattice(
     x: float,
     y: float,
     pitch: float,
+    n: int,
     line: NDArray[np.int32],
+    columns: NDArray[np.uint64],
+    weights: NDArray[np.int32],
     out: NDArray[np.int32],
 ) -> None:
     """Bilinear samples of an integral image on an n x n lattice centred at (x, y).
@@ -35,33 +41,36 @@ def sample_lattice(
         Centre, in pixel edges of the padded image (pixel i spans i .. i + 1).
     pitch : float
         Distance of the lattice lines in pixels.
-    line : ndarray (>= (n - 1) * pitch + 3,) int32
-        Scratch.
-    out : ndarray (n, n) int32
+    n : int
+        Lines, at most 24.
+    line, columns, weights : ndarray
+        Scratch: int32 (128,), uint64 (24,), int32 (24,).
+    out : ndarray (>= n, 24) int32
         Samples times 2**14, modulo 2**32: only differences over boxes mean something.
+        Columns beyond n are copies of the first.
     """
-    n = out.shape[0]
     one = 1 << WEIGHT_BITS
     start_x = x - 0.5 * (n - 1) * pitch
     start_y = y - 0.5 * (n - 1) * pitch
     first = int(start_x)
     span = int(start_x + (n - 1) * pitch) + 2 - first
-    columns = np.empty(n, np.int32)
-    weights = np.empty(n, np.int32)
-    for j in range(n):
-        position = start_x - first + j * pitch
-        columns[j] = int(position)
-        weights[j] = int((position - columns[j]) * one)
+    span = (span + _CHUNK - 1) // _CHUNK * _CHUNK  # no scalar remainder
+    for j in range(LATTICE_LANES):
+        position = start_x - first + (j * pitch if j < n else 0.0)
+        column = int(position)
+        columns[j] = np.uint64(column)
+        weights[j] = np.int32((position - column) * one)
+    left_edge = np.uint64(first)
+    next_column = np.uint64(1)
     for i in range(n):
         position = start_y + i * pitch
         row = int(position)
         weight = np.int32((position - row) * one)
-        above = integral[row][first : first + span]
-        below = integral[row + 1][first : first + span]
-        for k in range(span):
-            line[k] = np.int32((above[k] << WEIGHT_BITS) + (below[k] - above[k]) * weight)
-        target = out[i]
-        for j in range(n):
+        for k in range(np.uint64(span)):
+            above = integral[row, left_edge + k]
+            below = integral[row + 1, left_edge + k]
+            line[k] = np.int32((above << WEIGHT_BITS) + (below - above) * weight)
+        for j in range(LATTICE_LANES):
             left = line[columns[j]]
-            right = line[columns[j] + 1]
-            target[j] = np.int32((left << WEIGHT_BITS) + (right - left) * weights[j])
+            right = line[columns[j] + next_column]
+            out[i, j] = np.int32((left << WEIGHT_BITS) + (right - left) * weights[j])

@@ -20,37 +20,75 @@ _SECTOR = 12  # bins in 60 degrees
 _SIGMA = 2.5  # of the weights, in s
 
 
+_LANES = 16  # 13 samples a row, rounded up for SIMD
+_TURN = 96  # 72 bins, the first 12 again behind them, rounded up for SIMD
+BINS_LENGTH = _TURN + 8  # room for reading ahead
+
+
 def sample_weights() -> NDArray[np.float32]:
     """Gaussian weights of the 13 x 13 samples, zero beyond the radius of 6.
 
     Returns
     -------
-    ndarray (13, 13) float32
+    ndarray (13, 16) float32
+        The last three columns are zero.
     """
-    axis = np.arange(-6, 7)
-    squared = axis[:, None] ** 2 + axis[None, :] ** 2
+    x = np.arange(_LANES) - 6
+    y = np.arange(13) - 6
+    squared = y[:, None] ** 2 + x[None, :] ** 2
     weights = np.exp(squared / (-2 * _SIGMA**2)) * (squared < 36)
     return np.ascontiguousarray(weights, dtype=np.float32)
 
 
 @njit
-def _angle_bin(dx: float, dy: float) -> int:
-    """Bin of atan2(dy, dx): a cubic in min/max, good to 0.3 degrees."""
-    ax = abs(dx)
-    ay = abs(dy)
-    largest = max(ax, ay)
-    if largest == 0:
-        return 0
-    ratio = min(ax, ay) / largest
-    square = ratio * ratio
-    turn = ratio * (0.15915 + square * (-0.0514 + square * 0.0177))
-    if ay > ax:
-        turn = 0.25 - turn
-    if dx < 0:
-        turn = 0.5 - turn
-    if dy < 0:
-        turn = 1.0 - turn
-    return min(int(turn * _BINS), _BINS - 1)
+def _responses(
+    lattice: NDArray[np.int32],
+    weights: NDArray[np.float32],
+    haar: NDArray[np.float32],
+    bin_of: NDArray[np.int32],
+) -> None:
+    """Weighted Haar responses of side 4s and the bins of their directions."""
+    for i in range(13):
+        for j in range(_LANES):
+            left = lattice[i + 4, j] - lattice[i, j]
+            centre = lattice[i + 4, j + 2] - lattice[i, j + 2]
+            right = lattice[i + 4, j + 4] - lattice[i, j + 4]
+            first = lattice[i + 4, j] - 2 * lattice[i + 2, j] + lattice[i, j]
+            last = lattice[i + 4, j + 4] - 2 * lattice[i + 2, j + 4] + lattice[i, j + 4]
+            haar[0, i, j] = weights[i, j] * np.float32(np.int32(right - 2 * centre + left))
+            haar[1, i, j] = weights[i, j] * np.float32(np.int32(last - first))
+    for i in range(13):
+        for j in range(_LANES):
+            dx = haar[0, i, j]
+            dy = haar[1, i, j]
+            ax = abs(dx)
+            ay = abs(dy)
+            # atan2 in turns: a cubic in min / max, good to 0.1 degrees
+            ratio = (ax if ax < ay else ay) / ((ax if ax > ay else ay) + np.float32(1e-30))
+            square = ratio * ratio
+            turn = ratio * (
+                np.float32(0.15903) + square * (np.float32(-0.04930) + square * np.float32(0.01545))
+            )
+            turn = np.float32(0.25) - turn if ay > ax else turn
+            turn = np.float32(0.5) - turn if dx < 0 else turn
+            turn = np.float32(1) - turn if dy < 0 else turn
+            bin_of[i, j] = np.int32(turn * np.float32(_BINS))
+
+
+@njit
+def _sector_sums(sums: NDArray[np.float32], work: NDArray[np.float32]) -> None:
+    """Replace bins by sums over the 12 bins from each one on: 12 = 8 + 4."""
+    for axis in range(2):
+        for k in range(_SECTOR):
+            sums[axis, _BINS + k] = sums[axis, k]
+        for k in range(_TURN):
+            work[0, k] = sums[axis, k] + sums[axis, k + 1]
+        for k in range(_TURN):
+            work[1, k] = work[0, k] + work[0, k + 2]
+        for k in range(_TURN):
+            work[0, k] = work[1, k] + work[1, k + 4]
+        for k in range(_BINS):
+            sums[axis, k] = work[0, k] + work[1, k + 8]
 
 
 @njit
@@ -61,8 +99,13 @@ def orientation(
     scale: float,
     weights: NDArray[np.float32],
     line: NDArray[np.int32],
+    columns: NDArray[np.uint64],
+    fractions: NDArray[np.int32],
     lattice: NDArray[np.int32],
-    bins: NDArray[np.float32],
+    haar: NDArray[np.float32],
+    bin_of: NDArray[np.int32],
+    sums: NDArray[np.float32],
+    work: NDArray[np.float32],
 ) -> float:
     """Dominant orientation at one keypoint.
 
@@ -74,56 +117,33 @@ def orientation(
         Centre, in pixel edges of the padded image.
     scale : float
         s in pixels.
-    weights : ndarray (13, 13) float32
+    weights : ndarray (13, 16) float32
         From `sample_weights`.
-    line : ndarray int32
-        Scratch, see `sample_lattice`.
-    lattice : ndarray (17, 17) int32
-        Scratch.
-    bins : ndarray (2, 72) float32
-        Scratch.
+    line, columns, fractions, lattice : ndarray
+        Scratch of `sample_lattice`.
+    haar, bin_of, sums, work : ndarray
+        Scratch: float32 (2, 13, 16), int32 (13, 16), float32 (2, 104), float32 (2, 104).
 
     Returns
     -------
     float
         Radians in [0, 2 pi), from the x axis towards the y axis (down).
     """
-    sample_lattice(integral, x, y, scale, line, lattice)
-    bins[:] = 0
+    sample_lattice(integral, x, y, scale, LINES, line, columns, fractions, lattice)
+    _responses(lattice, weights, haar, bin_of)
+    sums[:] = 0
     for i in range(13):
-        top = lattice[i]
-        middle = lattice[i + 2]
-        bottom = lattice[i + 4]
         for j in range(13):
-            weight = weights[i, j]
-            if weight == 0:
-                continue
-            left = np.int32(bottom[j] - top[j])
-            centre = np.int32(bottom[j + 2] - top[j + 2])
-            right = np.int32(bottom[j + 4] - top[j + 4])
-            dx = weight * np.float32(np.int32(right - 2 * centre + left))
-            upper = middle[j + 4] - middle[j] - top[j + 4] + top[j]
-            lower = bottom[j + 4] - bottom[j] - middle[j + 4] + middle[j]
-            dy = weight * np.float32(np.int32(lower - upper))
-            k = _angle_bin(dx, dy)
-            bins[0, k] += dx
-            bins[1, k] += dy
-    best = np.float32(-1)
-    best_x = np.float32(1)
-    best_y = np.float32(0)
-    for start in range(_BINS):
-        sum_x = np.float32(0)
-        sum_y = np.float32(0)
-        for step in range(_SECTOR):
-            k = start + step
-            if k >= _BINS:
-                k -= _BINS
-            sum_x += bins[0, k]
-            sum_y += bins[1, k]
-        length = sum_x * sum_x + sum_y * sum_y
-        if length > best:
-            best = length
-            best_x = sum_x
-            best_y = sum_y
-    angle = math.atan2(best_y, best_x)
+            if weights[i, j] > 0:
+                k = min(max(bin_of[i, j], 0), _BINS - 1)
+                sums[0, k] += haar[0, i, j]
+                sums[1, k] += haar[1, i, j]
+    _sector_sums(sums, work)
+    for k in range(_BINS):
+        work[0, k] = sums[0, k] * sums[0, k] + sums[1, k] * sums[1, k]
+    best = 0
+    for k in range(1, _BINS):
+        if work[0, k] > work[0, best]:
+            best = k
+    angle = math.atan2(sums[1, best], sums[0, best])
     return angle if angle >= 0 else angle + 2 * math.pi

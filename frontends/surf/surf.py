@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontends.errors import InputError
-from frontends.surf.descriptor import box_sums, describe_level, window_weights
+from frontends.surf.descriptor import box_pairs, describe_level, window_weights
 from frontends.surf.hessian import NEIGHBOURS, detect_pair, refine_all
 from frontends.surf.integral import PAD, half_image, integral_image
 from frontends.surf.keypoints import Keypoints
@@ -151,45 +151,52 @@ class SURF:
         return int(cv2.NORM_L2)
 
     def _detect(self, pyramid: _Pyramid, mask: NDArray[np.bool_] | None) -> Keypoints:
-        found: list[NDArray[np.float32]] = []
-        octaves: list[int] = []
-        for octave in range(self.octaves):
-            if min(pyramid.shape(octave)) < _LEAST_SIDE:
-                break
-            integral = pyramid.integral(octave)
-            for first in range(0, self.layers, 2):
-                rows = _detect_layers(
-                    integral,
-                    _BASE_LOBE + 2 * first,
-                    self.hessian_threshold,
-                    first + 1 == self.layers,
-                )
-                block = 1 << octave
-                # the centre of block i is at pixel (i + 1/2) block - 1/2
-                rows[:, :2] = (rows[:, :2] + np.float32(0.5)) * block - np.float32(0.5)
-                rows[:, 2] *= block
-                found.append(rows)
-                octaves.append(octave)
-        if not found:
+        layers = self._candidates(pyramid)
+        if not layers:
             return Keypoints.empty()
-        rows = np.concatenate(found)
-        octave_of = np.repeat(octaves, [len(part) for part in found]).astype(np.int32)
-        if mask is not None:
-            column = np.rint(rows[:, 0]).astype(np.intp)
-            line = np.rint(rows[:, 1]).astype(np.intp)
-            kept = mask[line, column]
-            rows, octave_of = rows[kept], octave_of[kept]
+        wanted = self.max_keypoints
+        responses = np.concatenate([layer.responses for layer in layers])
+        # Only the strongest candidates need refining. About half of them survive it; should
+        # fewer do, the next share follows, so the result is the same as without this shortcut.
+        batch = responses.size if wanted is None else int(2.2 * wanted) + 64
+        above = np.inf
+        rows = np.empty((0, 6), np.float32)
+        while True:
+            least = -np.inf
+            if batch < responses.size:
+                least = float(np.partition(responses, responses.size - batch)[-batch])
+            fresh = [layer.refined(least, above) for layer in layers]
+            rows = np.concatenate([rows, *fresh])
+            if mask is not None:
+                column = np.rint(rows[:, 0]).astype(np.intp)
+                line = np.rint(rows[:, 1]).astype(np.intp)
+                rows = rows[mask[line, column]]
+            if least == -np.inf or (wanted is not None and len(rows) >= wanted):
+                break
+            above = least
+            batch *= 2
         # equal responses stay in scan order: the result does not depend on the sort
-        order = np.argsort(-rows[:, 3], kind="stable")[: self.max_keypoints]
-        rows = rows[order]
+        rows = rows[np.argsort(-rows[:, 3], kind="stable")[:wanted]]
         return Keypoints(
             rows[:, :2],
             rows[:, 2],
             np.zeros(len(rows), np.float32),
             rows[:, 3],
-            octave_of[order],
+            rows[:, 5].astype(np.int32),
             np.sign(rows[:, 4]).astype(np.int8),
         )
+
+    def _candidates(self, pyramid: _Pyramid) -> list[_Candidates]:
+        """Candidates of each pair of layers of each octave."""
+        found: list[_Candidates] = []
+        for octave in range(self.octaves):
+            if min(pyramid.shape(octave)) < _LEAST_SIDE:
+                break
+            for first in range(0, self.layers, 2):
+                single = first + 1 == self.layers
+                lobe = _BASE_LOBE + 2 * first
+                found.append(_Candidates(pyramid, octave, lobe, self.hessian_threshold, single))
+        return found
 
     def _describe(
         self, pyramid: _Pyramid, keypoints: Keypoints, *, assign: bool
@@ -222,7 +229,7 @@ class SURF:
         return descriptors, angles
 
 
-_NO_BOXES = np.zeros((1, 1), np.uint16)
+_NO_BOXES = np.zeros((1, 1), np.uint32)
 
 
 class _Pyramid:
@@ -232,7 +239,7 @@ class _Pyramid:
         warmup()
         self._images: list[NDArray[Any]] = [grey]
         self._integrals: dict[int, NDArray[np.int32]] = {}
-        self._boxes: dict[int, NDArray[np.uint16]] = {}
+        self._boxes: dict[int, NDArray[np.uint32]] = {}
         self.levels = max(1, min(grey.shape).bit_length() - 3)  # the last is 4 to 7 pixels
 
     def shape(self, level: int) -> tuple[int, int]:
@@ -252,31 +259,62 @@ class _Pyramid:
             self._integrals[level] = integral_image(self.image(level))
         return self._integrals[level]
 
-    def boxes(self, level: int) -> NDArray[np.uint16]:
+    def boxes(self, level: int) -> NDArray[np.uint32]:
         """Give the sums of 2x2 pixels of the padded level."""
         if level not in self._boxes:
             integral = self.integral(level)
-            boxes = np.empty((integral.shape[0] - 2, integral.shape[1] - 2), np.uint16)
-            box_sums(integral, boxes)
+            boxes = np.empty((integral.shape[0] - 2, integral.shape[1]), np.uint32)
+            box_pairs(integral, boxes)
             self._boxes[level] = boxes
         return self._boxes[level]
 
 
-def _detect_layers(
-    integral: NDArray[np.int32], lobe: int, threshold: float, single: bool
-) -> NDArray[np.float32]:
-    """Refined maxima of one pair of layers: rows of x, y, size, response, trace."""
-    capacity = integral.size // 32 + 64
-    while True:
-        positions = np.empty((capacity, 3), np.int32)
-        neighbours = np.empty((capacity, NEIGHBOURS), np.float32)
-        count = detect_pair(integral, lobe, np.float32(threshold), single, positions, neighbours)
-        if count <= capacity:
-            break
-        capacity = count
-    out = np.empty((count + 1, 5), np.float32)
-    kept = refine_all(integral, lobe, positions, neighbours, count, out)
-    return out[:kept]
+class _Candidates:
+    """Candidates of one pair of layers."""
+
+    def __init__(
+        self, pyramid: _Pyramid, octave: int, lobe: int, threshold: float, single: bool
+    ) -> None:
+        self._integral = pyramid.integral(octave)
+        self._octave = octave
+        self._lobe = lobe
+        width = pyramid.shape(octave)[1]
+        capacity = self._integral.size // 32 + 64
+        while True:
+            positions = np.empty((capacity, 3), np.int32)
+            neighbours = np.empty((capacity, NEIGHBOURS), np.float32)
+            count = detect_pair(
+                self._integral, width, lobe, np.float32(threshold), single, positions, neighbours
+            )
+            if count <= capacity:
+                break
+            capacity = count
+        self._positions = positions
+        self._neighbours = neighbours
+        own = 9 * positions[:count, 0] + 4  # the centre of the 3 x 3 of the candidate's layer
+        self.responses = neighbours[np.arange(count), own]
+
+    def refined(self, least: float, above: float) -> NDArray[np.float32]:
+        """Refine the candidates with least <= response < above.
+
+        Returns
+        -------
+        ndarray (M, 6) float32
+            x, y, size (pixels of the image), response, trace, octave of those that hold.
+        """
+        chosen = np.flatnonzero((self.responses >= least) & (self.responses < above))
+        rows = np.empty((len(chosen) + 1, 5), np.float32)
+        kept = refine_all(
+            self._integral, self._lobe, self._positions, self._neighbours, chosen, rows
+        )
+        out = np.empty((kept, 6), np.float32)
+        out[:, :5] = rows[:kept]
+        out[:, 5] = self._octave
+        block = np.float32(1 << self._octave)
+        # the centre of block i is at pixel (i + 1/2) block - 1/2
+        out[:, :2] = (out[:, :2] + np.float32(0.5)) * block - np.float32(0.5)
+        out[:, 2] *= block
+        return out
 
 
 def _with_angle(keypoints: Keypoints, angles: NDArray[np.float32]) -> Keypoints:

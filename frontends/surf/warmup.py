@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 
 from frontends.surf._jit import load_kernels
-from frontends.surf.descriptor import box_sums, describe_level
+from frontends.surf.descriptor import box_pairs, describe_level
 from frontends.surf.hessian import detect_pair, refine_all
 from frontends.surf.integral import halve, integrate
 
@@ -16,16 +16,16 @@ _KERNELS = (
     (integrate, "void(uint16[:,::1], int64, int32[:,::1])"),
     (
         detect_pair,
-        "int64(int32[:,::1], int64, float32, boolean, int32[:,::1], float32[:,::1])",
+        "int64(int32[:,::1], int64, int64, float32, boolean, int32[:,::1], float32[:,::1])",
     ),
     (
         refine_all,
-        "int64(int32[:,::1], int64, int32[:,::1], float32[:,::1], int64, float32[:,::1])",
+        "int64(int32[:,::1], int64, int32[:,::1], float32[:,::1], int64[::1], float32[:,::1])",
     ),
-    (box_sums, "void(int32[:,::1], uint16[:,::1])"),
+    (box_pairs, "void(int32[:,::1], uint32[:,::1])"),
     (
         describe_level,
-        "void(int32[:,::1], uint16[:,::1], boolean, boolean, float32[:,::1], float32[::1],"
+        "void(int32[:,::1], uint32[:,::1], boolean, boolean, float32[:,::1], float32[::1],"
         " int64[::1], float32[::1], float32[:,::1], float32[::1], float32[:,::1])",
     ),
 )
