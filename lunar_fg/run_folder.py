@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -186,7 +186,7 @@ class RunFolder:
         return Trajectory(stamps, trajectory.map_T_rover, covariance)
 
     def recorder(self, *, rover_T_camera: FloatArray | None = None) -> EstimateRecorder:
-        """Recorder of a run's estimates, to be used in a ``with`` statement."""
+        """Record a run's estimates as they come; for a ``with`` statement."""
         return EstimateRecorder(self, rover_T_camera)
 
     def write_metrics(self, metrics: Metrics) -> None:
@@ -195,21 +195,11 @@ class RunFolder:
 
     def read_metrics(self) -> dict[str, Any]:
         """Read ``metrics.json`` as it stands."""
-        try:
-            found = json.loads(self.metrics_path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            problem = f"cannot be read: {_one_line(error)}"
-            raise InputError(problem, source=self.metrics_path) from error
-        return dict(found)
+        return _read(self.metrics_path, json.loads)
 
     def read_config(self) -> dict[str, Any]:
-        """Read the effective configuration as plain values."""
-        try:
-            found = yaml.safe_load(self.config_path.read_text(encoding="utf-8"))
-        except (OSError, ValueError, yaml.YAMLError) as error:
-            problem = f"cannot be read: {_one_line(error)}"
-            raise InputError(problem, source=self.config_path) from error
-        return dict(found or {})
+        """Read the effective configuration."""
+        return _read(self.config_path, yaml.safe_load)
 
     def _is_run(self) -> bool:
         try:
@@ -252,12 +242,7 @@ class EstimateRecorder:
     Each estimate is a line of ``trajectory.tum`` at once; covariances and the KITTI file
     follow every `SAVE_EVERY` frames and when the ``with`` block ends, also by an exception.
 
-    Parameters
-    ----------
-    folder
-        Where to.
-    rover_T_camera
-        For the KITTI file, see `RunFolder.write_trajectory`.
+    `rover_T_camera` is for the KITTI file, see `RunFolder.write_trajectory`.
     """
 
     def __init__(self, folder: RunFolder, rover_T_camera: FloatArray | None = None) -> None:
@@ -292,8 +277,7 @@ class EstimateRecorder:
         return Trajectory.from_estimates(self._estimates)
 
     def _save(self) -> None:
-        trajectory = self.trajectory()
-        self._folder.write_trajectory(trajectory, rover_T_camera=self._rover_T_camera)
+        self._folder.write_trajectory(self.trajectory(), rover_T_camera=self._rover_T_camera)
 
 
 def _write(path: Path, content: bytes) -> None:
@@ -307,5 +291,9 @@ def _write(path: Path, content: bytes) -> None:
         raise InputError(f"cannot be written: {error.strerror}", source=path) from error
 
 
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
+def _read(path: Path, parse: Callable[[str], Any]) -> dict[str, Any]:
+    try:
+        return dict(parse(path.read_text(encoding="utf-8")) or {})
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        problem = f"cannot be read: {' '.join(str(error).split())}"
+        raise InputError(problem, source=path) from error

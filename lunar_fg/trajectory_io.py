@@ -92,15 +92,12 @@ def read_trajectory(path: str | Path) -> Trajectory:
 
 def tum_line(stamp_s: float, map_T_rover: FloatArray) -> str:
     """One line of a TUM file, without the line's end; positions to the nanometre."""
-    x, y, z = map_T_rover[:3, 3]
-    qx, qy, qz, qw = Rotation.from_matrix(map_T_rover[:3, :3]).as_quat(canonical=True)
-    return f"{stamp_s:.9f} {x:.9f} {y:.9f} {z:.9f} {qx:.12f} {qy:.12f} {qz:.12f} {qw:.12f}"
+    return _tum_lines(np.array([stamp_s]), map_T_rover[None])[0]
 
 
 def tum_text(trajectory: Trajectory) -> str:
     """Whole TUM file of a trajectory."""
-    rows = zip(trajectory.stamp_s, trajectory.map_T_rover, strict=True)
-    lines = [tum_line(float(stamp), pose) for stamp, pose in rows]
+    lines = _tum_lines(trajectory.stamp_s, trajectory.map_T_rover)
     return "\n".join(["# stamp_s x_m y_m z_m qx qy qz qw", *lines, ""])
 
 
@@ -118,6 +115,16 @@ def write_tum(path: str | Path, trajectory: Trajectory) -> None:
 def write_kitti(path: str | Path, trajectory: Trajectory) -> None:
     """Write a KITTI file; stamps and covariances are not part of it."""
     Path(path).write_text(kitti_text(trajectory), encoding="utf-8")
+
+
+def _tum_lines(stamp_s: FloatArray, poses: FloatArray) -> list[str]:
+    if not len(poses):
+        return []
+    quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
+    return [
+        " ".join([*(f"{v:.9f}" for v in (stamp, *position)), *(f"{v:.12f}" for v in quaternion)])
+        for stamp, position, quaternion in zip(stamp_s, poses[:, :3, 3], quaternions, strict=True)
+    ]
 
 
 def _read_table(path: Path) -> _Table:

@@ -79,6 +79,18 @@ def align(kind: AlignmentKind, pair: Pair) -> Alignment:
     return fit_similarity(estimate, truth, with_scale=kind is AlignmentKind.SIM3)
 
 
+def common_frame(pair: Pair, *, same_map: bool) -> AlignmentKind:
+    """Choose the alignment that hides no error that was made on the way.
+
+    None for two trajectories of the same map, the first pose where the truth has an
+    orientation, a least-squares fit where there is no other way.
+    """
+    if same_map:
+        return AlignmentKind.NONE
+    oriented = isinstance(pair.truth, Trajectory)
+    return AlignmentKind.ORIGIN if oriented else AlignmentKind.SE3
+
+
 def fit_yaw(source: FloatArray, target: FloatArray) -> Alignment:
     """Rotation about z and translation from `source` to `target`, (N, 3) both."""
     source_mean, target_mean = _means(source, target)

@@ -9,7 +9,12 @@ from typing import TypeVar
 import numpy as np
 
 from frontends.geometry import inverse
-from lunar_fg.evaluation.alignment import Alignment, AlignmentKind, align
+from lunar_fg.evaluation.alignment import (
+    Alignment,
+    AlignmentKind,
+    align,
+    common_frame,
+)
 from lunar_fg.evaluation.association import (
     TOLERANCE_S,
     Pair,
@@ -18,6 +23,7 @@ from lunar_fg.evaluation.association import (
 )
 from lunar_fg.evaluation.consistency import Nees, NeesFrame, nees
 from lunar_fg.evaluation.drift import (
+    KITTI_LENGTHS_M,
     ate_rmse_m,
     position_errors,
     relative_pose_error,
@@ -73,9 +79,11 @@ def evaluate(
             alignments[kind] = found
     ate = {str(kind): ate_rmse_m(pair, found) for kind, found in alignments.items()}
     segments = notes.attempt("kitti", partial(segment_errors, pair))
-    if segments is not None:
+    if segments is not None and not set(segments.lengths_m) <= set(KITTI_LENGTHS_M):
         lengths = ", ".join(f"{length:.3g}" for length in segments.lengths_m)
-        notes.warnings.append(f"kitti: over {segments.segments} segments of {lengths} m")
+        notes.warnings.append(
+            f"kitti: a short path, so over {segments.segments} segments of {lengths} m"
+        )
     rpe = notes.attempt("rpe", partial(relative_pose_error, pair))
     frame = NeesFrame.SAME_MAP if same_map else NeesFrame.FROM_START
     consistency = notes.attempt("nees", partial(nees, pair, frame))
@@ -127,15 +135,14 @@ def _band(consistency: Nees | None) -> NeesBand:
 def _final_error(
     pair: Pair, alignments: dict[AlignmentKind, Alignment], same_map: bool, notes: _Notes
 ) -> float | None:
-    wanted = AlignmentKind.NONE if same_map else AlignmentKind.ORIGIN
+    wanted = common_frame(pair, same_map=same_map)
     if wanted not in alignments:
-        wanted = AlignmentKind.SE3
-        if wanted in alignments:
-            notes.warnings.append(
-                "final_error_m: after SE(3) alignment, for want of an orientation at the start"
-            )
-    if wanted not in alignments:
+        notes.warnings.append(f"final_error_m: not computed: there is no {wanted} alignment")
         return None
+    if wanted is AlignmentKind.SE3:
+        notes.warnings.append(
+            "final_error_m: after SE(3) alignment, for want of an orientation at the start"
+        )
     return float(position_errors(pair, alignments[wanted])[-1])
 
 
