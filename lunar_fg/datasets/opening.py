@@ -38,15 +38,19 @@ def open_dataset(path: Path | str, images_root: Path | str | None = None) -> Dat
         thing that is there), or when something in it is wrong.
     """
     folder = Path(path)
-    if folder.name == TRAVERSE and folder.is_file():
+    if folder.name == TRAVERSE and os.path.isfile(folder):
         folder = folder.parent
-    if not folder.exists():
+    if not os.path.exists(folder):
         raise InputError(
             "does not exist", source=folder, field="dataset", remedy=_nearest_neighbour(folder)
         )
     if not folder.is_dir():
         raise InputError(
             "is a file", source=folder, field="dataset", remedy="give the folder of the dataset"
+        )
+    if not os.access(folder, os.R_OK | os.X_OK):
+        raise InputError(
+            "may not be read", source=folder, field="dataset", remedy="check the folder's rights"
         )
     for reader in READERS:
         if reader.detects(folder):
@@ -62,7 +66,8 @@ def open_dataset(path: Path | str, images_root: Path | str | None = None) -> Dat
 
 def _nearest_neighbour(folder: Path) -> str:
     parent = folder.parent
-    names = [entry.name for entry in parent.iterdir()] if parent.is_dir() else []
+    listable = os.path.isdir(parent) and os.access(parent, os.R_OK)
+    names = os.listdir(parent) if listable else []
     remedy = nearest_known(folder.name, names) if names else ""
     return remedy if remedy.startswith("did you mean") else "check the path"
 

@@ -1,4 +1,4 @@
-"""YAML for untrusted files: safe tags only, bounded, no aliases, no repeated keys."""
+"""YAML for untrusted files: bounded, no tags, no aliases, no repeated keys."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from frontends.errors import InputError
 
 MAX_BYTES = 1_000_000
 MAX_DEPTH = 20
+#: Python prints no integer of more than 4300 digits.
+MAX_PLAIN_CHARACTERS = 3000
 
 #: YAML 1.2 floats: PyYAML alone takes ``1e-3`` for text.
 _FLOAT = re.compile(
@@ -21,18 +23,30 @@ _FLOAT = re.compile(
 )
 
 
+def _is_long_and_plain(event: yaml.ScalarEvent) -> bool:
+    return event.style is None and len(event.value) > MAX_PLAIN_CHARACTERS
+
+
 class _StrictLoader(yaml.SafeLoader):
-    """`yaml.SafeLoader` that refuses aliases, deep nesting and repeated keys."""
+    """`yaml.SafeLoader` that refuses tags, aliases, deep nesting and repeated keys."""
 
     def __init__(self, stream: str) -> None:
         super().__init__(stream)
         self._depth = 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        if self.check_event(yaml.AliasEvent):
-            raise yaml.composer.ComposerError(None, None, "aliases (*name) are not allowed")
-        if self._depth >= MAX_DEPTH:
-            raise yaml.composer.ComposerError(None, None, f"is nested deeper than {MAX_DEPTH}")
+        event = cast(Any, self).peek_event()
+        problem = ""
+        if isinstance(event, yaml.AliasEvent):
+            problem = f"aliases (*{event.anchor}) are not allowed"
+        elif getattr(event, "tag", None) is not None:
+            problem = f"tags ({event.tag}) are not allowed"
+        elif isinstance(event, yaml.ScalarEvent) and _is_long_and_plain(event):
+            problem = f"a value without quotes is longer than {MAX_PLAIN_CHARACTERS} characters"
+        elif self._depth >= MAX_DEPTH:
+            problem = f"is nested deeper than {MAX_DEPTH}"
+        if problem:
+            raise yaml.composer.ComposerError(None, None, problem, event.start_mark)
         self._depth += 1
         try:
             return super().compose_node(parent, index)
@@ -60,8 +74,8 @@ def read_yaml(path: Path) -> object:
     Raises
     ------
     InputError
-        When the file cannot be read, is larger than 1 MB, is no YAML, or uses aliases,
-        repeated keys or deep nesting.
+        When the file cannot be read, is larger than 1 MB, is no YAML, or uses tags,
+        aliases, repeated keys or deep nesting.
     """
     try:
         size = path.stat().st_size
@@ -85,17 +99,22 @@ def read_yaml(path: Path) -> object:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         raise InputError(
-            error.problem or "is not YAML",
+            _brief(error.problem or "is not YAML"),
             source=path,
             field=None if mark is None else f"line {mark.line + 1}",
             remedy="docs/formats.md has an example",
         ) from error
     except (yaml.YAMLError, ValueError) as error:
         raise InputError(
-            f"is not YAML: {' '.join(str(error).split())[:200]}",
+            _brief(f"is not YAML: {error}"),
             source=path,
             remedy="docs/formats.md has an example",
         ) from error
     finally:
         if loader is not None:
             loader.dispose()
+
+
+def _brief(text: str) -> str:
+    line = " ".join(text.split())
+    return line if len(line) <= 200 else f"{line[:200]}..."

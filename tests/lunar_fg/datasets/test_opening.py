@@ -41,6 +41,7 @@ def test_a_sub_folder_that_is_a_dataset_is_named(kitti):
 def test_a_path_that_does_not_exist(kitti):
     assert "did you mean '06'" in refusal(kitti.parent / "006")
     assert "check the path" in refusal(kitti.parent / "a" / "b")
+    assert "does not exist" in refusal(kitti / ("a" * 5000))
     assert "is a file" in refusal(kitti / "calib.txt")
 
 

@@ -85,9 +85,12 @@ def test_the_defaults(tmp_path):
         (HEAD + "orbital: {sun_azimuth_deg: 1}", ["orbital", "neither"]),
         (HEAD + "orbital: {dem: a, sun_azimuth_deg: 1}", ["orbital", "go together"]),
         (HEAD + CAMERA, ["line 3", "'camera' is there twice"]),
-        (HEAD + "sun: &a {azimuth_deg: 1}\nmap: *a\n", ["aliases"]),
+        (HEAD + "sun: &a {azimuth_deg: 1}\nmap: *a\n", ["line 4", "aliases (*a)"]),
         (HEAD + "sun: " + "[" * 5000, ["nested deeper"]),
-        (HEAD + "sun: !!python/object/apply:os.system [ls]", ["constructor"]),
+        (HEAD + "sun: !!python/object/apply:os.system [ls]", ["line 3", "tags", "not allowed"]),
+        (HEAD.replace("fx: 50", "fx: !!timestamp 50"), ["line 2", "tags"]),
+        (HEAD.replace("fx: 50", "fx: 0x" + "9" * 5000), ["line 2", "longer than"]),
+        (HEAD.replace("fx: 50", "fx: " + "9" * 500), ["camera.fx", "999..."]),
         (HEAD + "sun: {a: 1\n", ["line"]),
         (HEAD + "sun: 2001-99-99\n", ["not YAML"]),
         ("", ["holds no keys"]),
@@ -120,8 +123,37 @@ fuzz = settings(
 )
 
 
+tokens = st.sampled_from(
+    [
+        "{",
+        "]",
+        ": ",
+        ", ",
+        "\n",
+        "- ",
+        "? ",
+        "&a ",
+        "*a",
+        "!!int ",
+        "!!timestamp ",
+        "!x ",
+        "<<: ",
+        "'",
+        '"',
+        "|\n",
+        "%YAML 1.1\n",
+        "---\n",
+        "0x" + "9" * 5000,
+        "2001-01-01",
+        "1_0",
+        "\0",
+        "\t",
+    ]
+).map(str.encode)
+
+
 @fuzz
-@given(data=st.binary(max_size=80), at=st.integers(0, len(FULL)), drop=st.integers(0, 30))
+@given(data=st.binary(max_size=80) | tokens, at=st.integers(0, len(FULL)), drop=st.integers(0, 30))
 def test_only_input_errors_escape_from_bytes(tmp_path, data, at, drop):
     path = tmp_path / "traverse.yaml"
     path.write_bytes(FULL.encode()[:at] + data + FULL.encode()[at + drop :])
