@@ -226,11 +226,11 @@ class RunFolder:
             )
         try:
             # The mark goes last: an interrupted clean-up leaves a folder still known as a run's.
-            for name in (*_FILES[1:], *_LATER_FILES):
-                (self.path / name).unlink(missing_ok=True)
-            for pattern in _PICTURES:
-                for picture in self.plots_path.glob(pattern):
-                    picture.unlink()
+            stale = [self.path / name for name in (*_FILES[1:], *_LATER_FILES)]
+            stale += [file for kind in _PICTURES for file in self.plots_path.glob(kind)]
+            stale += self.path.glob(".*.tmp")
+            for file in stale:
+                file.unlink(missing_ok=True)
             self.plots_path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"cannot be written: {error.strerror}", source=self.path) from error

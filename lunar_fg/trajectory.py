@@ -50,6 +50,7 @@ class Trajectory:
     indexed: bool = False
 
     def __post_init__(self) -> None:
+        """Check everything that later steps rely on."""
         stamps = _checked_stamps(self.stamp_s)
         object.__setattr__(self, "stamp_s", stamps)
         poses = np.asarray(self.map_T_rover, dtype=np.float64)
@@ -70,6 +71,7 @@ class Trajectory:
             _require_finite("covariance", covariance)
 
     def __len__(self) -> int:
+        """Count the rows."""
         return len(self.stamp_s)
 
     @classmethod
@@ -176,6 +178,7 @@ class PositionTrack:
     indexed: bool = False
 
     def __post_init__(self) -> None:
+        """Check everything that later steps rely on."""
         stamps = _checked_stamps(self.stamp_s)
         position = np.asarray(self.position_m, dtype=np.float64)
         object.__setattr__(self, "stamp_s", stamps)
@@ -185,6 +188,7 @@ class PositionTrack:
         _require_finite("position_m", position)
 
     def __len__(self) -> int:
+        """Count the rows."""
         return len(self.stamp_s)
 
     @property

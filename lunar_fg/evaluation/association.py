@@ -38,6 +38,7 @@ class Pair:
     estimate_poses: int
 
     def __len__(self) -> int:
+        """Count the pairs."""
         return len(self.estimate)
 
     @property

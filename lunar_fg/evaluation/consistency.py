@@ -17,8 +17,10 @@ follows from the reported covariances alone: the error of pose k is carried to p
 whatever variance is added or removed there is taken as new, independent information. With
 the resulting correlations ``C_ij`` of the whitened errors, ``n = dof N^2 / sum |C_ij|^2``,
 and the mean of honest errors has the mean and variance of ``chi2(dof n) / (dof n)``, whose
-95 % interval is the band. For filtered estimates this is exact between absolute fixes; for
-smoothed ones, an approximation.
+95 % interval is the band. For dead reckoning, filtered or smoothed, this is exact. Where
+absolute fixes come in, a step that both loses and gains information counts as less new than
+it is, most of all in smoothed estimates: `n` is then too small and the band too wide, which
+errs on the side of not crying wolf.
 """
 
 from __future__ import annotations

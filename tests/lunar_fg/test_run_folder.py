@@ -86,6 +86,7 @@ def test_an_earlier_run_is_replaced_only_when_asked(tmp_path: Path) -> None:
     folder.write_trajectory(Trajectory.from_estimates(estimates(3)))
     (folder.plots_path / "top_view.png").write_bytes(b"old")
     (folder.path / "notes.txt").write_text("kept")
+    (folder.path / ".metrics.json.1.tmp").write_text("half")
     with pytest.raises(InputError, match="--overwrite"):
         RunFolder.create(tmp_path / "a", {"seed": 2})
     assert folder.read_config() == {"seed": 1}
@@ -94,6 +95,7 @@ def test_an_earlier_run_is_replaced_only_when_asked(tmp_path: Path) -> None:
     assert folder.read_config() == {"seed": 2}
     assert not folder.tum_path.exists()
     assert not list(folder.plots_path.iterdir())
+    assert not list(folder.path.glob(".*"))
     assert (folder.path / "notes.txt").read_text() == "kept"
 
 
