@@ -1,6 +1,6 @@
 """Fast-Hessian detector (Bay et al., eqs. 9 and 10) on one pyramid level.
 
-A filter of side L = 3 l has lobes of l x (2 l - 1) for Dxx and Dyy and l x l for Dxy. Responses
+A filter of side L = 3 l has lobes of l x 5/9 L for Dxx and Dyy and l x l for Dxy. Responses
 are lobe means, as in OpenCV, so that thresholds carry over:
 ``det = Dxx Dyy - (0.9 Dxy)^2``.
 
@@ -24,9 +24,18 @@ NEIGHBOURS = 18  # dense responses stored with a candidate: 2 layers x 3 x 3
 
 
 @njit
+def lobe_wing(lobe: int) -> int:
+    """Half of a second-derivative lobe's long side, which is 5/9 L rounded to odd.
+
+    5, 9, 11, 15 for L = 9, 15, 21, 27, as in OpenCV: the shape stays that of the 9 x 9 filter.
+    """
+    return 5 * lobe // 6
+
+
+@njit
 def lobe_shift(lobe: int) -> int:
     """Bits to drop from sums of 8-bit grey so that the responses of a filter fit 16 bits."""
-    largest = 2 * lobe * (2 * lobe - 1) * 255
+    largest = 2 * lobe * (2 * lobe_wing(lobe) + 1) * 255
     shift = 0
     while largest >> shift > 32767:
         shift += 1
@@ -67,8 +76,8 @@ def _second_difference(
 ) -> None:
     """Sum of the outer lobes minus twice the middle one."""
     ya, yb, yc, yd = rows
-    xa, xb, xc, xd = columns
-    xa, xb, xc, xd = np.uint64(xa), np.uint64(xb), np.uint64(xc), np.uint64(xd)
+    xa, xb = np.uint64(columns[0]), np.uint64(columns[1])
+    xc, xd = np.uint64(columns[2]), np.uint64(columns[3])
     for x in range(np.uint64(n)):
         work[target, x] = np.int16(
             source[yd, x + xd] - source[ya, x + xa] + 3 * (source[yb, x + xb] - source[yc, x + xc])
@@ -102,8 +111,8 @@ def _lobe_difference(
 ) -> None:
     """First lobe minus second lobe."""
     ya, yb, yc, yd = rows
-    xa, xb, xc, xd = columns
-    xa, xb, xc, xd = np.uint64(xa), np.uint64(xb), np.uint64(xc), np.uint64(xd)
+    xa, xb = np.uint64(columns[0]), np.uint64(columns[1])
+    xc, xd = np.uint64(columns[2]), np.uint64(columns[3])
     for x in range(np.uint64(n)):
         work[target, x] = np.int16(
             (source[yb, x + xb] - source[ya, x + xa]) - (source[yd, x + xd] - source[yc, x + xc])
@@ -163,7 +172,7 @@ def dense_row(
     """
     half = lobe + lobe // 2  # the filter covers y - half .. y + half
     inner = lobe // 2
-    wing = lobe - 1  # a lobe's long side covers y - wing .. y + wing
+    wing = lobe_wing(lobe)  # a lobe's long side covers y - wing .. y + wing
     mask = _RING - 1
     reach = n + padded_length(2 * margin + 1)
     tall = (-half, -inner, inner + 1, half + 1)
@@ -193,7 +202,7 @@ def dense_row(
     _lobe_difference(work, (2, 2, 2, 2), columns, work, 5, n)
 
     unit = np.float32(1 << shift)
-    area = np.float32(lobe * (2 * lobe - 1))
+    area = np.float32(lobe * (2 * wing + 1))
     area_xy = np.float32(lobe * lobe)
     _determinant(
         work,
@@ -387,7 +396,7 @@ def response_at(
     """
     half = lobe + lobe // 2
     inner = lobe // 2
-    wing = lobe - 1
+    wing = lobe_wing(lobe)
     # Sums wrap modulo 2^32, which the cast of each result undoes. Unsigned indices: see above.
     y0, y1 = np.uint64(row - half), np.uint64(row - inner)
     y2, y3 = np.uint64(row + inner + 1), np.uint64(row + half + 1)
@@ -414,7 +423,7 @@ def response_at(
     right = (integral[y1, x3] - integral[y1, x2]) - (integral[y0, x3] - integral[y0, x2])
     right -= (integral[y3, x3] - integral[y3, x2]) - (integral[y2, x3] - integral[y2, x2])
     dxy = np.int32(left - right)
-    scale = np.float32(1.0 / ((1 << FRACTION_BITS) * lobe * (2 * lobe - 1)))
+    scale = np.float32(1.0 / ((1 << FRACTION_BITS) * lobe * (2 * wing + 1)))
     scale_xy = np.float32(1.0 / ((1 << FRACTION_BITS) * lobe * lobe))
     xx = scale * np.float32(dxx)
     yy = scale * np.float32(dyy)
