@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from frontends.camera import StereoCamera
-from frontends.errors import EstimationError
-from frontends.geometry import adjoint, inverse, se3_exp, se3_log
+from frontends.geometry import adjoint, inverse, se3_exp, se3_log, skew
 from frontends.measurements import FloatArray, IntArray
+from lunar_fg.graph.linear import gram, inverse_positive, tangent_basis
 from lunar_fg.graph.tracks import (
     Sightings,
     homogeneous,
@@ -25,12 +25,10 @@ from lunar_fg.graph.tracks import (
     projection_jacobian,
 )
 
-_STEP_SIGMA = 1e-3
+#: Rest: a step of this share of the poses' own sigmas.
+_STEP_SIGMA = 0.02
 _LARGEST_DAMPING = 1e8
 _LEAST_GAIN = 1e-12
-# Products below this many multiplications stay on one thread in OpenBLAS; on a busy
-# machine its threads cost ten times what they save at this size.
-_ONE_THREAD = 200_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,17 +105,6 @@ class _System:
     landmark_coupling: FloatArray
     landmark_gradient: FloatArray
     basis: FloatArray
-
-
-def _tangent_basis(points: FloatArray) -> FloatArray:
-    """Three unit directions orthogonal to each unit 4-vector (Householder), (L, 4, 3)."""
-    sign = np.where(points[:, 3] >= 0.0, 1.0, -1.0)
-    v = points.copy()
-    v[:, 3] += sign
-    scale = 2.0 / np.einsum("li,li->l", v, v)
-    basis = -scale[:, None, None] * v[:, :, None] * v[:, None, :3]
-    basis[:, :3, :] += np.eye(3)
-    return np.asarray(basis)
 
 
 class WindowSolver:
@@ -197,7 +184,7 @@ class WindowSolver:
         )
         residual = root_weight[:, None] * whitened
         by_pose = by_local @ pose_jacobian(local)
-        basis = _tangent_basis(points)
+        basis = tangent_basis(points)
         moved = inverse(poses)[window.pose] @ basis[window.landmark]
         by_landmark = by_local @ moved
         by_landmark_t = by_landmark.transpose(0, 2, 1)
@@ -209,9 +196,9 @@ class WindowSolver:
         blocks = np.zeros((count, 3, n, 6))
         blocks[window.landmark, :, window.pose, :] = by_landmark_t @ by_pose
         coupling = blocks.reshape(count, 3, 6 * n)
-        whitener: FloatArray = np.linalg.inv(np.linalg.cholesky(gain))
+        whitener = np.asarray(np.linalg.inv(np.linalg.cholesky(gain)), dtype=np.float64)
         joined = np.concatenate([coupling, landmark_gradient[:, :, None]], axis=2)
-        eliminated = _gram((whitener @ joined).reshape(3 * count, 6 * n + 1))
+        eliminated = gram((whitener @ joined).reshape(3 * count, 6 * n + 1))
         hessian = -eliminated[:-1, :-1]
         gradient = -eliminated[:-1, -1]
         by_pose_t = by_pose.transpose(0, 2, 1)
@@ -229,8 +216,8 @@ class WindowSolver:
             error = self._motion_error(motion, poses)
             # Derivative of the logarithm to first order in the error.
             half_ad = np.zeros((6, 6))
-            half_ad[:3, :3] = half_ad[3:, 3:] = _cross(error[:3])
-            half_ad[3:, :3] = _cross(error[3:])
+            half_ad[:3, :3] = half_ad[3:, 3:] = skew(error[:3])
+            half_ad[3:, :3] = skew(error[3:])
             right = np.eye(6) + 0.5 * half_ad
             back = adjoint(inverse(poses[motion.second]) @ poses[motion.first])
             by_second = root @ right
@@ -275,10 +262,10 @@ class WindowSolver:
             reduced = system.hessian[6:, 6:]
             damped = reduced + damping * np.diag(np.diag(reduced))
             step = np.zeros(6 * self._n)
-            step[6:] = -_inverse_positive(damped) @ system.gradient[6:]
+            step[6:] = -inverse_positive(damped) @ system.gradient[6:]
             new_poses, new_points = self._stepped(system, step, poses, points)
             new_state, new_cost = self._residuals(new_poses, new_points)
-            size = float(np.sqrt(max(step[6:] @ reduced @ step[6:], 0.0)))
+            size = float(np.sqrt(abs(float(step[6:] @ reduced @ step[6:]))))
             if new_cost <= cost * (1.0 + 1e-12):
                 poses, points, state, cost = new_poses, new_points, new_state, new_cost
                 damping = 0.0 if damping < 1e-6 else 0.1 * damping
@@ -290,31 +277,7 @@ class WindowSolver:
                 damping = max(1e-4, 10.0 * damping)
                 if damping > _LARGEST_DAMPING:
                     break
-        covariance = _inverse_positive(system.hessian[6:, 6:])
+        covariance = inverse_positive(system.hessian[6:, 6:])
         freedom = 3 * len(self._window.pose) - 3 * len(self._starts) - 6 * (self._n - 1)
         freedom += 6 * len(self._window.motions)
         return Adjusted(poses, covariance, 2.0 * cost, freedom, iterations, converged)
-
-
-def _cross(v: FloatArray) -> FloatArray:
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
-
-
-def _gram(rows: FloatArray) -> FloatArray:
-    """``rows.T @ rows`` in blocks small enough for one thread."""
-    count, width = rows.shape
-    height = max(8, _ONE_THREAD // width**2)
-    blocks = -(-count // height)
-    padded = np.zeros((blocks * height, width))
-    padded[:count] = rows
-    stacked = padded.reshape(blocks, height, width)
-    return np.asarray((stacked.transpose(0, 2, 1) @ stacked).sum(axis=0))
-
-
-def _inverse_positive(matrix: FloatArray) -> FloatArray:
-    """Inverse of a matrix that must be positive definite."""
-    try:
-        root = np.linalg.inv(np.linalg.cholesky(matrix))
-    except np.linalg.LinAlgError as error:
-        raise EstimationError("its measurements do not fix all poses") from error
-    return np.asarray(root.T @ root)

@@ -18,8 +18,9 @@ from lunar_fg.graph.incremental import IncrementalSmoother
 from lunar_fg.graph.keyframe import Keyframe, SmoothedTrajectory
 from lunar_fg.graph.landmarks import WholeGraph, map_point
 
-_RELATIVE_TOLERANCE = 1e-10
-_ABSOLUTE_TOLERANCE = 1e-7
+# GTSAM's default, 1e-5, stops early on long traverses.
+_RELATIVE_TOLERANCE = 1e-7
+_ABSOLUTE_TOLERANCE = 1e-5
 _ITERATIONS_FACTOR = 10
 
 

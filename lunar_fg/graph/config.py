@@ -26,6 +26,8 @@ class GraphConfig(BaseModel):
         pose carries a keyframe instead of its landmarks.
     max_track_gap
         For how many keyframes a landmark may stay unseen and still be the same landmark.
+    max_landmarks
+        In a segment; of more, the longest tracks are taken.
     max_iterations
         Of the solver of one segment, and of the offline optimiser (ten times as many).
     """
@@ -38,4 +40,5 @@ class GraphConfig(BaseModel):
     robust_threshold_sigma: float = Field(default=3.0, ge=0.5, le=100.0)
     min_tracks: int = Field(default=8, ge=3)
     max_track_gap: int = Field(default=10, ge=1)
+    max_landmarks: int = Field(default=1000, ge=20)
     max_iterations: int = Field(default=20, ge=1, le=1000)

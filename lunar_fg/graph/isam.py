@@ -12,7 +12,8 @@ from frontends.errors import EstimationError
 from frontends.measurements import FloatArray
 
 _RELINEARIZE_SKIP = 10
-_SETTLED = 1e-6
+#: Rest: no pose moves by more, m or rad.
+_SETTLED = 1e-5
 _MOST_SETTLING_STEPS = 25
 # What pybind11 turns GTSAM's C++ exceptions into.
 _GTSAM_ERRORS = (RuntimeError, ValueError, IndexError, KeyError)
@@ -145,6 +146,12 @@ class GuardedIsam:
         self._rebuild(self._isam.calculateEstimate())
         return self._marginal(query)
 
+    @staticmethod
+    def _largest_pose_step(isam: gtsam.ISAM2) -> float:
+        delta = isam.getDelta()
+        keys = gtsam.utilities.allPose3s(isam.getLinearizationPoint()).keys()
+        return max(float(np.abs(delta.at(key)).max()) for key in keys)
+
     def settle(self) -> None:
         """Relinearise everything until nothing moves: what batch Gauss-Newton would reach.
 
@@ -162,8 +169,7 @@ class GuardedIsam:
             isam.update(self._factors, estimate)
             for _ in range(_MOST_SETTLING_STEPS):
                 isam.update()
-                moved = isam.getDelta()
-                if moved.norm() < _SETTLED:
+                if self._largest_pose_step(isam) < _SETTLED:
                     break
         except _GTSAM_ERRORS as error:
             if self._qr:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from frontends.camera import StereoCamera
 from frontends.errors import EstimationError
 from frontends.geometry import adjoint, inverse
-from frontends.measurements import FloatArray
+from frontends.measurements import FloatArray, IntArray
 from lunar_fg.graph.adjustment import Motion, Window, WindowSolver
 from lunar_fg.graph.config import GraphConfig
 from lunar_fg.graph.keyframe import Entered, Keyframe, floored, no_motion
@@ -171,8 +172,11 @@ class Segment:
         )
         pose = np.repeat(np.arange(len(self)), [len(s) for s in self._sightings])
         track = np.concatenate(self._numbers)
-        _, landmark, count = np.unique(track, return_inverse=True, return_counts=True)
-        rows = np.flatnonzero(count[landmark] > 1)
+        _, first, landmark, count = np.unique(
+            track, return_index=True, return_inverse=True, return_counts=True
+        )
+        kept = _longest(pose[first], count, self._config.max_landmarks)
+        rows = np.flatnonzero(kept[landmark])
         rows = rows[np.argsort(track[rows], kind="stable")]
         _, landmark = np.unique(track[rows], return_inverse=True)
         return Window(sightings.take(rows), pose[rows], landmark, tuple(self._motions))
@@ -203,3 +207,26 @@ class Segment:
             solved.degrees_of_freedom,
             solved.converged,
         )
+
+
+def _longest(start: IntArray, length: IntArray, most: int) -> NDArray[np.bool_]:
+    """Tracks of two sightings or more; of too many the longest, the same share at each start.
+
+    Parameters
+    ----------
+    start
+        (L,) where in the segment each track begins.
+    length
+        (L,) its sightings.
+    most
+        Tracks to keep, about.
+    """
+    kept = length > 1
+    total = int(kept.sum())
+    if total <= most:
+        return np.asarray(kept)
+    for here in np.unique(start[kept]):
+        group = np.flatnonzero(kept & (start == here))
+        quota = -(-len(group) * most // total)
+        kept[group[np.argsort(-length[group], kind="stable")[quota:]]] = False
+    return np.asarray(kept)
