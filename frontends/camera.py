@@ -72,7 +72,9 @@ class StereoCamera:
         """Z = B f / D (eq. 3), m; (N,) -> (N,)."""
         return np.asarray(self.baseline_m * self.fx / disparity_px)
 
-    def triangulate(self, u_left: FloatArray, v: FloatArray, disparity_px: FloatArray) -> FloatArray:
+    def triangulate(
+        self, u_left: FloatArray, v: FloatArray, disparity_px: FloatArray
+    ) -> FloatArray:
         """Points in left-camera axes from pixels and disparities (eqs. 1 to 3).
 
         X = B x1 / D, Y = B y1 / D (fx / fy), Z = B f / D with x1, y1 from the
@@ -117,7 +119,7 @@ class StereoCamera:
         jacobian[:, 1, 2] = -(v - self.cy) * z / (self.fy * disparity_px)
         jacobian[:, 2, 2] = -z / disparity_px
         variance = np.stack([sigma_px**2, sigma_px**2, sigma_disparity_px**2], axis=-1)
-        return np.einsum("nij,nj,nkj->nik", jacobian, variance, jacobian)
+        return np.asarray(np.einsum("nij,nj,nkj->nik", jacobian, variance, jacobian))
 
     def project(self, points_cam: FloatArray) -> FloatArray:
         """Left u, right u, common v of points in left-camera axes (eqs. 4, 5).

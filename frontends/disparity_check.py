@@ -1,0 +1,240 @@
+"""A disparity error of the rectified pair, found from the motion between its frames.
+
+A single pair cannot tell a disparity error from depth. Motion can: points triangulated
+with wrong disparities do not move rigidly. The three coefficients of the disparity field
+(`frontends.rectification`) are unknowns of the two-view problem beside the motion; the
+motion is eliminated and the information of many frame pairs added up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2 as chi2_distribution
+
+from frontends.camera import StereoCamera
+from frontends.measurements import StereoObservations
+from frontends.rectification import DISPARITY_TERMS, RectificationError, disparity_basis
+from frontends.relative import rigid_transform
+from frontends.reprojection import TwoViewProblem, solve_motion
+from frontends.tracking import common_landmarks
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class DisparityCheckConfig:
+    """Settings of the check.
+
+    Attributes
+    ----------
+    mode
+        ``"apply"``: correct a significant error; ``"report"``: only say so; ``"off"``.
+    frames
+        Moving frames that the check uses, from the start of the run.
+    significance_sigma
+        The field is significant when one of its terms exceeds so many sigmas.
+    floor_px
+        Sub-pixel matching is biased by up to about this much whatever the number of
+        matches: added to every sigma.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
+
+    mode: Literal["apply", "report", "off"] = "apply"
+    frames: int = 30
+    significance_sigma: float = 4.0
+    floor_px: float = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class DisparityFinding:
+    """What the motion says about the disparities.
+
+    Attributes
+    ----------
+    coefficients_px, sigma_px
+        (3,) of the terms 1, x^2, y^2, each scaled to px at the image border
+        (`border_scale`); the sigmas hold the matching bias.
+    border_scale
+        (3,) factor from the field's coefficients to px at the border.
+    pairs
+        Frame pairs used.
+    significance_sigma
+        A term is significant from so many sigmas.
+    """
+
+    coefficients_px: FloatArray
+    sigma_px: FloatArray
+    border_scale: FloatArray
+    pairs: int
+    significance_sigma: float
+
+    @property
+    def significant(self) -> NDArray[np.bool_]:
+        """Which terms are significant, (3,)."""
+        return np.asarray(np.abs(self.coefficients_px) >= self.significance_sigma * self.sigma_px)
+
+    @property
+    def field_px(self) -> FloatArray:
+        """Coefficients for `RectificationError.disparity_px`."""
+        return np.asarray(self.coefficients_px / self.border_scale)
+
+    def __str__(self) -> str:
+        names = ("constant", "x^2 at the side", "y^2 at the top")
+        parts = [
+            f"{name} {value:+.2f} +- {sigma:.2f} px{'' if counts else ' (not significant)'}"
+            for name, value, sigma, counts in zip(
+                names, self.coefficients_px, self.sigma_px, self.significant, strict=True
+            )
+        ]
+        return f"disparity error from motion, {self.pairs} frame pairs: " + ", ".join(parts)
+
+
+class DisparityCheck:
+    """Collects the first moving frames of a run and judges their disparities.
+
+    Parameters
+    ----------
+    camera
+        The rectified pair.
+    config
+        Settings.
+    """
+
+    #: A pair of frames counts when its landmarks moved by this much in the image, px.
+    _LEAST_FLOW_PX = 2.0
+    #: The partner of a frame is the oldest one that shares this part of its landmarks.
+    _SHARED = 0.33
+    _LEAST_SHARED = 30
+    _KERNEL_SIGMA = 2.0
+
+    def __init__(self, camera: StereoCamera, config: DisparityCheckConfig | None = None) -> None:
+        self.camera = camera
+        self.config = config or DisparityCheckConfig()
+        self._frames: list[StereoObservations] = []
+        self._pairs: list[tuple[int, int]] = []
+
+    @property
+    def ready(self) -> bool:
+        """Whether enough moving frames came for a finding."""
+        return len(self._pairs) >= self.config.frames
+
+    def add(self, observations: StereoObservations) -> None:
+        """Take in the next frame, with tracked ids and uncorrected disparities."""
+        self._frames.append(observations)
+        newest = len(self._frames) - 1
+        for older in range(max(0, newest - 10), newest):
+            a, b = self._common(older, newest)
+            if len(a) < max(self._LEAST_SHARED, self._SHARED * len(self._tracked(newest))):
+                continue
+            flow = np.hypot(b.u_left - a.u_left, b.v - a.v)
+            if float(np.median(flow)) >= self._LEAST_FLOW_PX:
+                self._pairs.append((older, newest))
+            return
+
+    def finding(self) -> DisparityFinding | None:
+        """Judge what has come so far; None without any usable pair.
+
+        The three terms are correlated, so they are judged and applied together: dropping
+        one would push its share into the others.
+        """
+        if not self._pairs:
+            return None
+        camera = self.camera
+        side = np.array([0.0, camera.width - 1.0]), np.array([0.0, camera.height - 1.0])
+        scale = disparity_basis(camera, *side).max(axis=0)
+        field, covariance = self._solve()
+        sigma = np.hypot(np.sqrt(np.diag(covariance)) * scale, self.config.floor_px)
+        return DisparityFinding(
+            field * scale, sigma, scale, len(self._pairs), self.config.significance_sigma
+        )
+
+    def _solve(self) -> tuple[FloatArray, FloatArray]:
+        """Coefficients of the field over all pairs, and their covariance."""
+        field = np.zeros(DISPARITY_TERMS)
+        motions: list[FloatArray | None] = [None] * len(self._pairs)
+        covariance = np.zeros((DISPARITY_TERMS, DISPARITY_TERMS))
+        for _ in range(5):
+            information = np.zeros((DISPARITY_TERMS, DISPARITY_TERMS))
+            gradient = np.zeros(DISPARITY_TERMS)
+            ratio: list[float] = []
+            for k, pair in enumerate(self._pairs):
+                problem = self._problem(pair, field)
+                if len(problem) < self._LEAST_SHARED:
+                    continue
+                start = motions[k]
+                if start is None:
+                    start = _first_motion(problem, self.camera)
+                motion, _, _ = solve_motion(problem, start, kernel_sigma=self._KERNEL_SIGMA)
+                motions[k] = motion
+                whole, slope, chi2 = problem.linearise(motion, self._KERNEL_SIGMA)
+                through = np.linalg.solve(whole[:6, :6], whole[:6, 6:]).T
+                information += whole[6:, 6:] - through @ whole[:6, 6:]
+                gradient += slope[6:] - through @ slope[:6]
+                ratio.append(float(np.median(chi2)) / chi2_distribution.median(df=3))
+            step = np.linalg.solve(information, gradient)
+            field += step
+            # each frame enters several pairs: count it once
+            overlap = 2.0 * max(1.0, float(np.mean([b - a for a, b in self._pairs])))
+            inflation = max(1.0, float(np.median(ratio))) * overlap
+            covariance = inflation * np.linalg.inv(information)
+            if float(np.abs(step).max()) < 1e-3:
+                break
+        return field, covariance
+
+    def _problem(self, pair: tuple[int, int], field: FloatArray) -> TwoViewProblem:
+        """Two-view problem with the disparity coefficients as further unknowns.
+
+        With D = D_measured - basis c, the point moves by X / D per px of error, and the
+        disparity measured in b is the point's own plus the error there.
+        """
+        camera = self.camera
+        error = RectificationError(disparity_px=field)
+        a, b = self._common(*pair)
+        basis_a = disparity_basis(camera, a.u_left, a.v)
+        basis_b = disparity_basis(camera, b.u_left, b.v)
+        true_a = a.disparity_px - basis_a @ field
+        true_b = b.disparity_px - basis_b @ field
+        keep = (true_a > 0.5) & (true_b > 0.5)
+        corrected_a = error.correct(camera, a.select(keep))
+        base = TwoViewProblem.of_landmarks(
+            camera,
+            corrected_a.points_cam,
+            corrected_a.points_covariance,
+            error.correct(camera, b.select(keep)),
+        )
+        per_px = corrected_a.points_cam / true_a[keep][:, None]
+        return TwoViewProblem(
+            camera,
+            base.points_a,
+            base.covariance_a,
+            base.observed_b,
+            base.sigma_px,
+            base.sigma_disparity_px,
+            np.ascontiguousarray(per_px[:, :, None] * basis_a[keep][:, None, :]),
+            np.ascontiguousarray(basis_b[keep]),
+        )
+
+    def _tracked(self, frame: int) -> NDArray[np.int64]:
+        """Ids of a frame that the frame before knew."""
+        if frame == 0:
+            return np.zeros(0, dtype=np.int64)
+        return np.intersect1d(
+            self._frames[frame].landmark_id, self._frames[frame - 1].landmark_id
+        )
+
+    def _common(self, a: int, b: int) -> tuple[StereoObservations, StereoObservations]:
+        """Observations of the landmarks that both frames see, in the same order."""
+        return common_landmarks(self._frames[a], self._frames[b])
+
+
+def _first_motion(problem: TwoViewProblem, camera: StereoCamera) -> FloatArray:
+    """Start of the least squares: rigid transform of the triangulated points (eq. 6)."""
+    u, v, disparity = problem.observed_b.T
+    nearer = np.argsort(-disparity)[: max(3, len(problem) // 2)]
+    points_b = camera.triangulate(u, v, disparity)
+    return rigid_transform(problem.points_a[nearer], points_b[nearer])

@@ -1,0 +1,15 @@
+"""Feature matching: nearest neighbours, search windows, RANSAC between images."""
+
+from frontends.matching.homography import ImageTransform, find_homography, find_similarity
+from frontends.matching.nearest import Matches, match_descriptors
+from frontends.matching.windows import SearchWindows, match_in_windows
+
+__all__ = [
+    "ImageTransform",
+    "Matches",
+    "SearchWindows",
+    "find_homography",
+    "find_similarity",
+    "match_descriptors",
+    "match_in_windows",
+]

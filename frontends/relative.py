@@ -1,0 +1,250 @@
+"""Relative positioning (paper, 2.2): the motion between two frames from 3-D landmarks.
+
+RANSAC over rigid transforms of three landmarks (eq. 6), then least squares on the
+reprojection in both images with a robust kernel. A failure is a result with a reason.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2 as chi2_distribution
+
+from frontends.camera import StereoCamera
+from frontends.geometry import adjoint, inverse, pose, transform_points
+from frontends.measurements import RelativePose, StereoObservations, Verdict
+from frontends.reprojection import TwoViewProblem, solve_motion
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class RelativeConfig:
+    """Settings of relative positioning.
+
+    Attributes
+    ----------
+    inlier_probability
+        A true correspondence passes the chi-square gate with this probability.
+    confidence
+        RANSAC ends when a clean sample was drawn with this probability.
+    max_hypotheses
+        Bound on the samples drawn.
+    min_inliers
+        Fewer make the motion refused.
+    kernel_sigma
+        Scale of the Cauchy kernel, in sigmas.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
+
+    inlier_probability: float = 0.99
+    confidence: float = 0.9999
+    max_hypotheses: int = 500
+    min_inliers: int = 12
+    kernel_sigma: float = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class MotionPrediction:
+    """Motion expected before the images were looked at; `covariance` as `RelativePose`."""
+
+    a_T_b: FloatArray
+    covariance: FloatArray
+
+
+def rigid_transform(points_a: FloatArray, points_b: FloatArray) -> FloatArray:
+    """Least-squares rigid transform between two point sets (paper, eq. 6).
+
+    Parameters
+    ----------
+    points_a, points_b
+        (N, 3) corresponding points, m, N >= 3, not on one line.
+
+    Returns
+    -------
+    FloatArray
+        ``b_T_a``, (4, 4): ``points_b ~ R points_a + t``.
+    """
+    mean_a, mean_b = points_a.mean(axis=0), points_b.mean(axis=0)
+    u, _, vt = np.linalg.svd((points_a - mean_a).T @ (points_b - mean_b))
+    sign = np.diag([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))])
+    rotation = vt.T @ sign @ u.T
+    return pose(rotation, mean_b - rotation @ mean_a)
+
+
+class RelativePositioning:
+    """Estimates the motion between two stereo frames.
+
+    Parameters
+    ----------
+    camera
+        The rectified pair.
+    config
+        Settings.
+    seed
+        Of the random sampling. The draws of a frame depend on the seed and the number
+        of correspondences only, never on what came before.
+    """
+
+    def __init__(
+        self, camera: StereoCamera, config: RelativeConfig | None = None, seed: int = 0
+    ) -> None:
+        self.camera = camera
+        self.config = config or RelativeConfig()
+        self.seed = seed
+        self._gate = float(chi2_distribution.ppf(self.config.inlier_probability, df=3))
+
+    def estimate(
+        self,
+        points_a: FloatArray,
+        covariance_a: FloatArray,
+        observations_b: StereoObservations,
+        prediction: MotionPrediction,
+    ) -> RelativePose:
+        """Motion from landmarks known in `a` and observed in `b`.
+
+        Parameters
+        ----------
+        points_a, covariance_a
+            (N, 3) m, (N, 3, 3) m^2: the landmarks in a's left-camera axes.
+        observations_b
+            The same N landmarks as frame b sees them; their ids name the inliers.
+        prediction
+            Returned, refused, when the images do not tell the motion.
+
+        Returns
+        -------
+        RelativePose
+            Between the left cameras. The covariance is the inverse of the final normal
+            matrix, scaled up where the residuals are larger than their sigmas say.
+        """
+        count = len(observations_b)
+        needed = self.config.min_inliers
+        if count < needed:
+            return _refuse(prediction, count, f"{count} tracked landmarks, {needed} are needed")
+        problem = TwoViewProblem.of_landmarks(self.camera, points_a, covariance_a, observations_b)
+        b_T_a, inlier = self._ransac(problem, observations_b.points_cam, prediction)
+        if inlier.sum() < needed:
+            return _refuse(
+                prediction,
+                count,
+                f"{int(inlier.sum())} of {count} tracked landmarks agree on one motion, "
+                f"{needed} are needed",
+            )
+        return self._refine(problem, observations_b, b_T_a, inlier, prediction)
+
+    def refine(
+        self,
+        points_a: FloatArray,
+        covariance_a: FloatArray,
+        observations_b: StereoObservations,
+        prediction: MotionPrediction,
+    ) -> RelativePose:
+        """As `estimate`, for correspondences that are already known to be right."""
+        count = len(observations_b)
+        if count < self.config.min_inliers:
+            return _refuse(prediction, count, f"{count} known correspondences are too few")
+        problem = TwoViewProblem.of_landmarks(self.camera, points_a, covariance_a, observations_b)
+        start = rigid_transform(points_a, observations_b.points_cam)
+        everything = np.ones(count, dtype=np.bool_)
+        return self._refine(problem, observations_b, start, everything, prediction)
+
+    def _ransac(
+        self, problem: TwoViewProblem, points_b: FloatArray, prediction: MotionPrediction
+    ) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Motion with the smallest truncated cost, locally optimised, and its inliers."""
+        count = len(problem)
+        best = inverse(prediction.a_T_b)
+        cost, inlier = self._score(problem, best)
+        random = np.random.default_rng((self.seed, count))
+        wanted = float(self.config.max_hypotheses)
+        tried = 0
+        while tried < min(wanted, self.config.max_hypotheses):
+            sample = random.choice(count, size=3, replace=False)
+            tried += 1
+            candidate = rigid_transform(problem.points_a[sample], points_b[sample])
+            candidate_cost, candidate_inlier = self._score(problem, candidate)
+            if candidate_cost >= cost and tried > 1:
+                continue
+            for _ in range(2):
+                if candidate_inlier.sum() < 6:
+                    break
+                improved, _, _ = solve_motion(
+                    problem.select(candidate_inlier),
+                    candidate,
+                    kernel_sigma=self.config.kernel_sigma,
+                    iterations=3,
+                )
+                improved_cost, improved_inlier = self._score(problem, improved)
+                if improved_cost >= candidate_cost:
+                    break
+                candidate, candidate_cost, candidate_inlier = (
+                    improved,
+                    improved_cost,
+                    improved_inlier,
+                )
+            if candidate_cost < cost:
+                best, cost, inlier = candidate, candidate_cost, candidate_inlier
+            clean = float(inlier.mean()) ** 3
+            if clean > 0.0:
+                miss = np.log1p(-min(clean, 1.0 - 1e-12))
+                wanted = np.log(1.0 - self.config.confidence) / miss
+        return best, inlier
+
+    def _score(
+        self, problem: TwoViewProblem, b_T_a: FloatArray
+    ) -> tuple[float, NDArray[np.bool_]]:
+        _, _, chi2 = problem.linearise(b_T_a, self.config.kernel_sigma)
+        return float(np.minimum(chi2, self._gate).sum()), chi2 < self._gate
+
+    def _refine(
+        self,
+        problem: TwoViewProblem,
+        observations_b: StereoObservations,
+        b_T_a: FloatArray,
+        inlier: NDArray[np.bool_],
+        prediction: MotionPrediction,
+    ) -> RelativePose:
+        count = len(observations_b)
+        sigma = self.config.kernel_sigma
+        b_T_a, information, _ = solve_motion(problem.select(inlier), b_T_a, kernel_sigma=sigma)
+        _, _, chi2 = problem.linearise(b_T_a, sigma)
+        inlier = chi2 < self._gate
+        if inlier.sum() < self.config.min_inliers:
+            return _refuse(prediction, count, "the motion does not hold after refinement")
+        information = information[:6, :6]
+        spread = np.linalg.eigvalsh(information)
+        if not np.isfinite(spread).all() or spread[0] <= spread[-1] * 1e-14:
+            return _refuse(prediction, count, "the landmarks do not fix all six motions")
+        inflation = max(1.0, float(np.median(chi2[inlier])) / chi2_distribution.median(df=3))
+        covariance_b_T_a = inflation * np.linalg.inv(information)
+        # right perturbation of the inverse: Ad of b_T_a, the sign squares away
+        turn = adjoint(b_T_a)
+        covariance = turn @ covariance_b_T_a @ turn.T
+        return RelativePose(
+            inverse(b_T_a),
+            0.5 * (covariance + covariance.T),
+            observations_b.landmark_id[inlier],
+            count,
+            Verdict.ACCEPTED,
+        )
+
+
+def _refuse(prediction: MotionPrediction, count: int, reason: str) -> RelativePose:
+    return RelativePose(
+        prediction.a_T_b,
+        prediction.covariance,
+        np.zeros(0, dtype=np.int64),
+        count,
+        Verdict.REFUSED,
+        reason,
+    )
+
+
+def predicted_points(prediction: MotionPrediction, points_a: FloatArray) -> FloatArray:
+    """Where points of frame a should be in frame b's axes, (N, 3) m."""
+    return transform_points(inverse(prediction.a_T_b), points_a)

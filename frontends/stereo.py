@@ -1,0 +1,292 @@
+"""Stereo perception (paper, 2.1): SURF matches of a rectified pair become 3-D points."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import ClassVar, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from frontends.camera import StereoCamera
+from frontends.errors import InputError
+from frontends.matching import Matches, SearchWindows, match_descriptors, match_in_windows
+from frontends.measurements import Image, StereoFrame, StereoObservations
+from frontends.rectification import RectificationError, observe, robust_fit, vertical_basis
+from frontends.surf import SURF, Keypoints
+
+FloatArray = NDArray[np.float64]
+
+
+class FeatureDetector(Protocol):
+    """What finds and describes features; `frontends.SURF` is one."""
+
+    def detectAndCompute(
+        self, image: Image, mask: NDArray[np.uint8] | None = None
+    ) -> tuple[Keypoints, NDArray[np.float32]]:
+        """Features of an image and their descriptors, (N, D) float32."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class StereoConfig:
+    """Settings of stereo perception.
+
+    Attributes
+    ----------
+    hessian_threshold
+        SURF detector threshold, OpenCV's unit.
+    max_keypoints
+        Strongest keypoints kept in each image.
+    band_px
+        Half height of the epipolar band after the vertical field is removed.
+    near_baselines
+        Nearest depth searched, in baselines.
+    max_depth_sigma
+        Useful range: largest 1-sigma of the depth, as a share of the depth.
+    border_px
+        Landmarks nearer to the image border are dropped.
+    localisation_sigma
+        1-sigma of a SURF keypoint per axis, in px per unit of its scale
+        (size 9 is scale 1.2).
+    """
+
+    __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
+
+    hessian_threshold: float = 20.0
+    max_keypoints: int = 1500
+    band_px: float = 1.5
+    near_baselines: float = 2.0
+    max_depth_sigma: float = 0.25
+    border_px: float = 8.0
+    localisation_sigma: float = 0.135
+
+
+@dataclass(frozen=True, slots=True)
+class StereoFeatures:
+    """Stereo landmarks of one frame before they are tracked (ids are all -1).
+
+    Attributes
+    ----------
+    observations
+        N landmarks, corrected by `rectification`.
+    descriptors
+        (N, 64) float32, from the left image.
+    laplacian
+        (N,) int8.
+    keypoints
+        How many in the left and in the right image.
+    matches
+        Pairs within the epipolar band.
+    refined
+        How many disparities the refinement confirmed.
+    epipolar_sigma_px
+        Robust 1-sigma of the vertical residual of the refined pairs.
+    """
+
+    observations: StereoObservations
+    descriptors: NDArray[np.float32]
+    laplacian: NDArray[np.int8]
+    keypoints: tuple[int, int]
+    matches: int
+    refined: int
+    epipolar_sigma_px: float
+
+    def __len__(self) -> int:
+        return len(self.descriptors)
+
+
+class StereoPerception:
+    """Finds stereo landmarks in rectified pairs.
+
+    The vertical offset between the images is measured on the first pair that has enough
+    matches, and removed from then on.
+
+    Parameters
+    ----------
+    camera
+        The rectified pair.
+    config
+        Settings.
+    detector
+        Feature detector; upright SURF by default.
+    """
+
+    #: Pairs needed before the vertical field is trusted.
+    _ENOUGH_PAIRS = 30
+    #: The vertical offset is looked for within this share of the image height.
+    _VERTICAL_SEARCH = 0.05
+    _LK_WINDOW = 15
+
+    def __init__(
+        self,
+        camera: StereoCamera,
+        config: StereoConfig | None = None,
+        detector: FeatureDetector | None = None,
+    ) -> None:
+        self.camera = camera
+        self.config = config or StereoConfig()
+        self.rectification = RectificationError()
+        self.vertical_measured = False
+        self._detector = detector or SURF(
+            hessian_threshold=self.config.hessian_threshold,
+            upright=True,
+            max_keypoints=self.config.max_keypoints,
+        )
+        self._threads = ThreadPoolExecutor(max_workers=2)
+
+    def perceive(self, frame: StereoFrame) -> StereoFeatures:
+        """Stereo landmarks of one rectified pair.
+
+        Raises
+        ------
+        InputError
+            When the images do not fit the camera, or left and right look swapped.
+        """
+        self._check_size(frame)
+        (left, left_descriptors), (right, right_descriptors) = self._threads.map(
+            self._detector.detectAndCompute, (frame.left, frame.right)
+        )
+        if not self.vertical_measured:
+            self._measure_vertical(left, left_descriptors, right, right_descriptors, frame)
+        pairs = self._match_band(left, left_descriptors, right, right_descriptors)
+        left_uv = left.xy[pairs.query].astype(np.float64)
+        right_uv = right.xy[pairs.train].astype(np.float64)
+        scale = left.size[pairs.query].astype(np.float64) * (1.2 / 9.0)
+        sigma = self.config.localisation_sigma * scale
+        disparity, sigma_disparity, refined, epipolar_sigma = self._refine(
+            frame, left_uv, right_uv, sigma
+        )
+        u, v = left_uv[:, 0], left_uv[:, 1]
+        disparity = disparity - self.rectification.disparity_at(self.camera, u, v)
+        keep = disparity * self.config.max_depth_sigma > sigma_disparity
+        keep &= self.camera.contains(u, v, self.config.border_px)
+        chosen = pairs.query[keep]
+        observations = observe(
+            self.camera,
+            np.full(len(chosen), -1, dtype=np.int64),
+            u[keep],
+            v[keep],
+            disparity[keep],
+            sigma[keep],
+            sigma_disparity[keep],
+        )
+        return StereoFeatures(
+            observations,
+            left_descriptors[chosen],
+            left.laplacian[chosen],
+            (len(left), len(right)),
+            len(pairs),
+            refined,
+            epipolar_sigma,
+        )
+
+    def close(self) -> None:
+        """Release the two detector threads."""
+        self._threads.shutdown()
+
+    def _check_size(self, frame: StereoFrame) -> None:
+        expected = (self.camera.height, self.camera.width)
+        for name, image in (("left", frame.left), ("right", frame.right)):
+            if image.shape != expected or image.dtype != np.uint8:
+                raise InputError(
+                    f"image is {image.shape} {image.dtype}, the camera needs {expected} uint8",
+                    source=f"frame {frame.index}",
+                    field=name,
+                    remedy="check the calibration's width and height",
+                )
+
+    def _measure_vertical(
+        self,
+        left: Keypoints,
+        left_descriptors: NDArray[np.float32],
+        right: Keypoints,
+        right_descriptors: NDArray[np.float32],
+        frame: StereoFrame,
+    ) -> None:
+        """Fit the vertical field to matches made without it; check left and right."""
+        pairs = match_descriptors(left_descriptors, right_descriptors, ratio=0.7)
+        offset = (left.xy[pairs.query] - right.xy[pairs.train]).astype(np.float64)
+        near = np.abs(offset[:, 1]) < self._VERTICAL_SEARCH * self.camera.height
+        if near.sum() < self._ENOUGH_PAIRS:
+            return
+        uv = left.xy[pairs.query][near].astype(np.float64)
+        basis = vertical_basis(self.camera, uv[:, 0], uv[:, 1])
+        coefficients, scale = robust_fit(basis, offset[near, 1])
+        agree = np.abs(offset[near, 1] - basis @ coefficients) < 3.0 * scale
+        disparity = offset[near, 0][agree]
+        if len(disparity) >= self._ENOUGH_PAIRS and np.mean(disparity < 0) > 0.5:
+            raise InputError(
+                f"{np.mean(disparity < 0):.0%} of {len(disparity)} matches have a negative "
+                "disparity",
+                source=f"frame {frame.index}",
+                remedy="left and right look swapped: exchange them",
+            )
+        self.rectification = replace(self.rectification, vertical_px=coefficients)
+        self.vertical_measured = True
+
+    def _match_band(
+        self,
+        left: Keypoints,
+        left_descriptors: NDArray[np.float32],
+        right: Keypoints,
+        right_descriptors: NDArray[np.float32],
+    ) -> Matches:
+        """Match along the epipolar lines: equal v, disparity from 0 to the nearest depth."""
+        uv = left.xy.astype(np.float64)
+        widest = self.camera.fx / self.config.near_baselines
+        windows = SearchWindows(
+            uv[:, 0] - 0.5 * widest,
+            uv[:, 1] - self.rectification.vertical_at(self.camera, uv[:, 0], uv[:, 1]),
+            0.5 * widest,
+            self.config.band_px,
+        )
+        return match_in_windows(
+            left_descriptors,
+            left.laplacian,
+            windows,
+            right_descriptors,
+            right.laplacian,
+            right.xy.astype(np.float64),
+        )
+
+    def _refine(
+        self, frame: StereoFrame, left_uv: FloatArray, right_uv: FloatArray, sigma: FloatArray
+    ) -> tuple[FloatArray, FloatArray, int, float]:
+        """Disparities refined by Lucas-Kanade, with the precision that was achieved.
+
+        The vertical residual of the refined pairs is pure error, so its spread is the
+        sigma of their disparities. Pairs that the refinement does not confirm keep the
+        keypoints' disparity and its larger sigma.
+        """
+        disparity = left_uv[:, 0] - right_uv[:, 0]
+        sigma_disparity = np.sqrt(2.0) * sigma
+        if len(left_uv) == 0:
+            return disparity, sigma_disparity, 0, float("nan")
+        moved, status, _ = cv2.calcOpticalFlowPyrLK(
+            frame.left,
+            frame.right,
+            np.ascontiguousarray(left_uv[:, None], dtype=np.float32),
+            np.ascontiguousarray(right_uv[:, None], dtype=np.float32),
+            winSize=(self._LK_WINDOW, self._LK_WINDOW),
+            maxLevel=0,
+            criteria=(cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 10, 0.02),
+            flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        )
+        moved = np.asarray(moved[:, 0], dtype=np.float64)
+        vertical = (
+            left_uv[:, 1]
+            - moved[:, 1]
+            - self.rectification.vertical_at(self.camera, left_uv[:, 0], left_uv[:, 1])
+        )
+        reach = 4.0 * np.maximum(sigma_disparity, 0.25)
+        good = (status[:, 0] == 1) & (np.abs(vertical) < 1.0)
+        good &= np.hypot(*(moved - right_uv).T) < reach
+        if good.sum() < self._ENOUGH_PAIRS:
+            return disparity, sigma_disparity, 0, float("nan")
+        achieved = max(1.4826 * float(np.median(np.abs(vertical[good]))), 0.05)
+        disparity[good] = left_uv[good, 0] - moved[good, 0]
+        sigma_disparity[good] = achieved
+        return disparity, sigma_disparity, int(good.sum()), achieved

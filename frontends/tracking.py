@@ -1,0 +1,242 @@
+"""Tracking landmarks from frame to frame (paper, 2.2): search where the motion puts them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frontends.camera import StereoCamera
+from frontends.geometry import inverse, transform_points
+from frontends.matching import Matches, SearchWindows, match_in_windows
+from frontends.measurements import RelativePose, StereoObservations
+from frontends.relative import MotionPrediction
+from frontends.stereo import StereoFeatures
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class TrackingConfig:
+    """Settings of landmark tracking.
+
+    Attributes
+    ----------
+    search_fraction
+        Half width of the search window about a predicted position, as a share of the
+        image width, once the motion is known.
+    wide_search_fraction
+        The same at the start and after a loss.
+    max_unseen
+        A landmark is kept for so many frames after it was last seen.
+    ratio
+        Largest ratio of nearest to second-nearest descriptor distance.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
+
+    search_fraction: float = 0.04
+    wide_search_fraction: float = 0.12
+    max_unseen: int = 2
+    ratio: float = 0.85
+
+
+@dataclass(frozen=True, slots=True)
+class _Memory:
+    """Landmarks that may be seen again, in the left-camera axes of the newest frame."""
+
+    landmark_id: NDArray[np.int64]
+    descriptors: NDArray[np.float32]
+    laplacian: NDArray[np.int8]
+    points: FloatArray
+    covariance: FloatArray
+    unseen: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.landmark_id)
+
+    def select(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> _Memory:
+        return _Memory(
+            self.landmark_id[keep],
+            self.descriptors[keep],
+            self.laplacian[keep],
+            self.points[keep],
+            self.covariance[keep],
+            self.unseen[keep],
+        )
+
+    def joined(self, other: _Memory) -> _Memory:
+        return _Memory(
+            np.concatenate([self.landmark_id, other.landmark_id]),
+            np.concatenate([self.descriptors, other.descriptors]),
+            np.concatenate([self.laplacian, other.laplacian]),
+            np.concatenate([self.points, other.points]),
+            np.concatenate([self.covariance, other.covariance]),
+            np.concatenate([self.unseen, other.unseen]),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Tracks:
+    """Landmarks of the memory matched with features of the new frame.
+
+    Attributes
+    ----------
+    points_a, covariance_a
+        (M, 3) m, (M, 3, 3) m^2: the landmarks in the previous frame's left-camera axes.
+    observations_b
+        The M matched observations of the new frame, carrying the landmarks' ids.
+    feature
+        (M,) rows of the new frame's features.
+    """
+
+    points_a: FloatArray
+    covariance_a: FloatArray
+    observations_b: StereoObservations
+    feature: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.feature)
+
+
+class LandmarkTracker:
+    """Gives the same landmark the same id over frames.
+
+    Parameters
+    ----------
+    camera
+        The rectified pair.
+    config
+        Settings.
+    """
+
+    def __init__(self, camera: StereoCamera, config: TrackingConfig | None = None) -> None:
+        self.camera = camera
+        self.config = config or TrackingConfig()
+        self._memory: _Memory | None = None
+        self._next_id = 0
+
+    def associate(
+        self, features: StereoFeatures, prediction: MotionPrediction, *, wide: bool = False
+    ) -> Tracks:
+        """Match remembered landmarks with the features of a new frame.
+
+        Parameters
+        ----------
+        features
+            Of the new frame.
+        prediction
+            Expected motion since the previous frame.
+        wide
+            Search far from the predicted positions.
+        """
+        memory = self._memory
+        if memory is None or len(memory) == 0 or len(features) == 0:
+            nothing = np.zeros(0, dtype=np.int64)
+            return Tracks(
+                np.zeros((0, 3)),
+                np.zeros((0, 3, 3)),
+                features.observations.select(nothing),
+                nothing,
+            )
+        points_b = transform_points(inverse(prediction.a_T_b), memory.points)
+        ahead = np.flatnonzero(points_b[:, 2] > 1e-3)
+        visible = memory.select(ahead)
+        u_left, _, v = self.camera.project(points_b[ahead]).T
+        share = self.config.wide_search_fraction if wide else self.config.search_fraction
+        half = share * self.camera.width
+        seen = features.observations
+        matches: Matches = match_in_windows(
+            visible.descriptors,
+            visible.laplacian,
+            SearchWindows(u_left, v, half, half),
+            features.descriptors,
+            features.laplacian,
+            np.stack([seen.u_left, seen.v], axis=-1),
+            ratio=self.config.ratio,
+        )
+        chosen = visible.select(matches.query)
+        observations = replace(
+            seen.select(matches.train), landmark_id=chosen.landmark_id.astype(np.int64)
+        )
+        return Tracks(chosen.points, chosen.covariance, observations, matches.train)
+
+    def commit(
+        self, features: StereoFeatures, tracks: Tracks, relative: RelativePose
+    ) -> StereoObservations:
+        """Take the new frame in: tracked landmarks keep their id, all others get a new one.
+
+        Parameters
+        ----------
+        features, tracks
+            Of the new frame.
+        relative
+            The measured motion; its inliers are the tracks that hold.
+
+        Returns
+        -------
+        StereoObservations
+            All landmarks of the new frame, with ids.
+        """
+        ids = np.full(len(features), -1, dtype=np.int64)
+        holds = np.isin(tracks.observations_b.landmark_id, relative.inlier_ids)
+        ids[tracks.feature[holds]] = tracks.observations_b.landmark_id[holds]
+        new = ids < 0
+        ids[new] = self._next_id + np.arange(int(new.sum()))
+        self._next_id += int(new.sum())
+        observations = replace(features.observations, landmark_id=ids)
+        current = _Memory(
+            ids,
+            features.descriptors,
+            features.laplacian,
+            observations.points_cam,
+            observations.points_covariance,
+            np.zeros(len(ids), dtype=np.int64),
+        )
+        older = self._carried(relative.a_T_b, ids)
+        self._memory = current if older is None else current.joined(older)
+        return observations
+
+    def skip(self, relative: RelativePose) -> None:
+        """Carry the memory over a frame without images."""
+        self._memory = self._carried(relative.a_T_b, np.zeros(0, dtype=np.int64))
+
+    def replace_points(self, observations: StereoObservations) -> None:
+        """Forget all but the newest frame's landmarks and take their points anew."""
+        if self._memory is None:
+            return
+        row = {int(i): k for k, i in enumerate(self._memory.landmark_id)}
+        keep = np.array([row[int(i)] for i in observations.landmark_id], dtype=np.int64)
+        self._memory = replace(
+            self._memory.select(keep),
+            points=observations.points_cam,
+            covariance=observations.points_covariance,
+        )
+
+    def _carried(self, a_T_b: FloatArray, seen_again: NDArray[np.int64]) -> _Memory | None:
+        """The old memory in the new frame's axes, without what was seen again or lost."""
+        memory = self._memory
+        if memory is None:
+            return None
+        keep = (memory.unseen < self.config.max_unseen) & ~np.isin(memory.landmark_id, seen_again)
+        kept = memory.select(keep)
+        b_T_a = inverse(a_T_b)
+        rotation = b_T_a[:3, :3]
+        return replace(
+            kept,
+            points=transform_points(b_T_a, kept.points),
+            covariance=rotation @ kept.covariance @ rotation.T,
+            unseen=kept.unseen + 1,
+        )
+
+
+def common_landmarks(
+    a: StereoObservations, b: StereoObservations
+) -> tuple[StereoObservations, StereoObservations]:
+    """Observations of the landmarks that both frames see, in the same order."""
+    _, i, j = np.intersect1d(
+        a.landmark_id, b.landmark_id, assume_unique=True, return_indices=True
+    )
+    return a.select(i), b.select(j)

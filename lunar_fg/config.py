@@ -1,0 +1,59 @@
+"""All settings of a run, checked; what a run used is written beside its results."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from frontends.disparity_check import DisparityCheckConfig
+from frontends.errors import InputError
+from frontends.relative import RelativeConfig
+from frontends.stereo import StereoConfig
+from frontends.tracking import TrackingConfig
+from lunar_fg.datasets.strict_yaml import read_yaml
+from lunar_fg.graph.config import GraphConfig
+from lunar_fg.motion import MotionConfig
+
+
+class Config(BaseModel):
+    """Settings of the navigator, one group a part.
+
+    Attributes
+    ----------
+    seed
+        Of every random choice.
+    stereo, tracking, relative, disparity_check, motion, graph
+        See the classes.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    seed: int = 0
+    stereo: StereoConfig = Field(default_factory=StereoConfig)
+    tracking: TrackingConfig = Field(default_factory=TrackingConfig)
+    relative: RelativeConfig = Field(default_factory=RelativeConfig)
+    disparity_check: DisparityCheckConfig = Field(default_factory=DisparityCheckConfig)
+    motion: MotionConfig = Field(default_factory=MotionConfig)
+    graph: GraphConfig = Field(default_factory=GraphConfig)
+
+
+def read_config(path: Path) -> Config:
+    """Read settings from YAML; keys that are left out keep their default.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read, or a key or value is wrong.
+    """
+    data = read_yaml(path)
+    try:
+        return Config.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise InputError(
+            str(first["msg"]).lower(),
+            source=path,
+            field=".".join(str(part) for part in first["loc"]),
+            remedy="config.yaml of any run folder lists all keys",
+        ) from error

@@ -1,0 +1,118 @@
+"""The paper's method as code: perceive, track, position, smooth; one frame at a time."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frontends.camera import StereoCamera, level_rover_T_camera
+from frontends.measurements import Estimate, StartPrior, StereoFrame, UnusableFrame
+from lunar_fg.config import Config
+from lunar_fg.frontend import Frontend, FrameReport
+from lunar_fg.graph.incremental import IncrementalSmoother
+from lunar_fg.self_calibration import SelfCalibration
+from lunar_fg.stopwatch import Stopwatch
+from lunar_fg.trajectory import Trajectory
+
+FloatArray = NDArray[np.float64]
+
+#: A vertical offset below this is within what the epipolar band allows for anyway, px.
+_NOTEWORTHY_OFFSET_PX = 0.5
+
+
+class Navigator:
+    """Estimates the rover's pose from stereo frames.
+
+    Parameters
+    ----------
+    camera
+        The rectified pair.
+    config
+        Settings; the defaults suit any sequence.
+    rover_T_camera
+        (4, 4) pose of the left camera in the rover; level and forward by default.
+    start
+        Where the rover starts; the map's origin by default.
+    """
+
+    def __init__(
+        self,
+        camera: StereoCamera,
+        config: Config | None = None,
+        rover_T_camera: FloatArray | None = None,
+        start: StartPrior | None = None,
+    ) -> None:
+        self.camera = camera
+        self.config = config or Config()
+        self.rover_T_camera = level_rover_T_camera() if rover_T_camera is None else rover_T_camera
+        self.stopwatch = Stopwatch()
+        self.frames_lost = 0
+        self._start = start or StartPrior()
+        self._frontend = Frontend(camera, self.rover_T_camera, self.config, self.stopwatch)
+        self._calibration = SelfCalibration(camera, self.config.disparity_check)
+        self._smoother = self._new_smoother()
+
+    def step(self, frame: StereoFrame | UnusableFrame) -> Estimate:
+        """Take in the next frame and return the pose it leads to.
+
+        Raises
+        ------
+        InputError
+            When the frame does not fit the camera or does not follow the one before;
+            nothing that was estimated is lost.
+        """
+        with self.stopwatch.frame():
+            keyframe = self._frontend.measure(frame)
+            with self.stopwatch.stage("graph"):
+                estimate = self._smoother.add(keyframe)
+            if self._calibration.watch(keyframe):
+                with self.stopwatch.stage("self-calibration"):
+                    estimate = self._recalibrate()
+        self.frames_lost += estimate.lost
+        return estimate
+
+    def finish(self) -> None:
+        """Smooth what is still open; call it after the last frame."""
+        if self._calibration.conclude():
+            self._recalibrate()
+        self._smoother.finish()
+        self._frontend.perception.close()
+
+    def trajectory(self) -> Trajectory:
+        """Return the smoothed pose and covariance of every frame so far."""
+        smoothed = self._smoother.trajectory()
+        return Trajectory(smoothed.stamp_s, smoothed.map_T_rover, smoothed.covariance)
+
+    @property
+    def reports(self) -> list[FrameReport]:
+        """Counts of every frame so far."""
+        return self._frontend.reports
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user should know about the run, one sentence each."""
+        found: list[str] = []
+        vertical = float(self._frontend.perception.rectification.vertical_px[0])
+        if abs(vertical) > _NOTEWORTHY_OFFSET_PX:
+            found.append(
+                f"the images are {vertical:+.2f} px apart vertically (v_left - v_right): removed"
+            )
+        finding = self._calibration.finding
+        if finding is not None and finding.significant.any():
+            applied = self.config.disparity_check.mode == "apply"
+            found.append(f"{finding}: {'removed' if applied else 'not removed'}")
+        return (*found, *self._frontend.unusable, *self._smoother.warnings)
+
+    def _new_smoother(self) -> IncrementalSmoother:
+        return IncrementalSmoother(
+            self.camera, self.rover_T_camera, self._start, self.config.graph
+        )
+
+    def _recalibrate(self) -> Estimate:
+        """Start again from the measurements so far, with the disparity error removed."""
+        finding = self._calibration.finding
+        assert finding is not None
+        keyframes = self._calibration.corrected(finding.field_px, self._frontend.positioning)
+        self._frontend.adopt(finding.field_px, keyframes[-1])
+        self._smoother = self._new_smoother()
+        return [self._smoother.add(keyframe) for keyframe in keyframes][-1]
