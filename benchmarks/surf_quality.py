@@ -53,6 +53,7 @@ class Features:
     descriptors: NDArray[np.generic]
 
     def top(self, n: int) -> Features:
+        """Strongest n."""
         return Features(self.xy[:n], self.size[:n], self.descriptors[:n])
 
 
@@ -172,9 +173,7 @@ def undistorted(xy: NDArray[np.float64], camera: Path | None) -> NDArray[np.floa
         for key, _, value in (line.partition("=") for line in camera.read_text().splitlines())
         if key.strip() in ("fu", "fv", "cu", "cv", "k1", "k2", "p1", "p2")
     }
-    matrix = np.array(
-        [[values["fu"], 0, values["cu"]], [0, values["fv"], values["cv"]], [0, 0, 1]]
-    )
+    matrix = np.array([[values["fu"], 0, values["cu"]], [0, values["fv"], values["cv"]], [0, 0, 1]])
     distortion = np.array([values[key] for key in ("k1", "k2", "p1", "p2")])
     return np.asarray(cv2.undistortPoints(xy[:, None], matrix, distortion, P=matrix)[:, 0])
 

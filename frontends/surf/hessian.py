@@ -1,7 +1,7 @@
 """Fast-Hessian detector (Bay et al., eqs. 9 and 10) on one pyramid level.
 
 A filter of side L = 3 l has lobes of l x 5/9 L for Dxx and Dyy and l x l for Dxy. Responses
-are lobe means, as in OpenCV, so that thresholds carry over:
+are in OpenCV's unit, means over the lobes of Dxx, so that thresholds carry over:
 ``det = Dxx Dyy - (0.9 Dxy)^2``.
 
 Two neighbouring layers (lobes l and l + 2) are evaluated densely, a row at a time, in 16-bit
@@ -18,7 +18,10 @@ from numpy.typing import NDArray
 from frontends.surf._jit import njit
 from frontends.surf.integral import FRACTION_BITS, PAD, padded_length
 
-WEIGHT2 = np.float32(0.81)  # 0.9^2, eq. 10
+# (0.9 Dxy)^2 of eq. 10, for lobe means: the paper's 0.9 is for sums, and a Dxy lobe has 3/5 of
+# the area of a Dxx lobe. OpenCV puts 0.9 on the means, which costs 3 to 10 % of the matches on
+# low-texture ground (benchmarks/surf_quality.py).
+WEIGHT2 = np.float32((0.9 * 3 / 5) ** 2)
 _RING = 64  # integral rows kept in 16 bits: a power of two, more than the tallest filter
 NEIGHBOURS = 18  # dense responses stored with a candidate: 2 layers x 3 x 3
 

@@ -49,23 +49,26 @@ def sample_lattice(
         Samples times 2**14, modulo 2**32: only differences over boxes mean something.
         Columns beyond n are copies of the first.
     """
+    # Positions in fixed point: all cells have exactly the same size, so that differences of
+    # boxes cancel the mean grey exactly, whatever the rounding of the weights.
     one = 1 << WEIGHT_BITS
-    start_x = x - 0.5 * (n - 1) * pitch
-    start_y = y - 0.5 * (n - 1) * pitch
-    first = int(start_x)
-    span = int(start_x + (n - 1) * pitch) + 2 - first
+    fraction = one - 1
+    step = int(pitch * one + 0.5)
+    start_x = int(x * one + 0.5) - (n - 1) * step // 2
+    start_y = int(y * one + 0.5) - (n - 1) * step // 2
+    first = start_x >> WEIGHT_BITS
+    span = ((start_x + (n - 1) * step) >> WEIGHT_BITS) + 2 - first
     span = (span + _CHUNK - 1) // _CHUNK * _CHUNK  # no scalar remainder
     for j in range(LATTICE_LANES):
-        position = start_x - first + (j * pitch if j < n else 0.0)
-        column = int(position)
-        columns[j] = np.uint64(column)
-        weights[j] = np.int32((position - column) * one)
+        position = start_x + (j * step if j < n else 0)
+        columns[j] = np.uint64((position >> WEIGHT_BITS) - first)
+        weights[j] = np.int32(position & fraction)
     left_edge = np.uint64(first)
     next_column = np.uint64(1)
     for i in range(n):
-        position = start_y + i * pitch
-        row = int(position)
-        weight = np.int32((position - row) * one)
+        position = start_y + i * step
+        row = position >> WEIGHT_BITS
+        weight = np.int32(position & fraction)
         for k in range(np.uint64(span)):
             above = integral[row, left_edge + k]
             below = integral[row + 1, left_edge + k]

@@ -73,7 +73,7 @@ class SURF:
         self._window = window_weights()
         self._samples = sample_weights()
 
-    def detectAndCompute(  # noqa: N802 - cv2.Feature2D's name
+    def detectAndCompute(
         self, image: NDArray[np.uint8], mask: NDArray[np.uint8] | None = None
     ) -> tuple[Keypoints, NDArray[np.float32]]:
         """Keypoints, strongest first, and their descriptors.
@@ -138,15 +138,15 @@ class SURF:
             raise InputError("angles must be finite", source="keypoints", field="angle")
         return keypoints, self._describe(_Pyramid(grey), keypoints, assign=False)[0]
 
-    def descriptorSize(self) -> int:  # noqa: N802 - cv2.Feature2D's name
+    def descriptorSize(self) -> int:
         """Numbers in a descriptor."""
         return DESCRIPTOR_SIZE
 
-    def descriptorType(self) -> int:  # noqa: N802 - cv2.Feature2D's name
+    def descriptorType(self) -> int:
         """OpenCV's element type of the descriptors."""
         return int(cv2.CV_32F)
 
-    def defaultNorm(self) -> int:  # noqa: N802 - cv2.Feature2D's name
+    def defaultNorm(self) -> int:
         """OpenCV's norm to match the descriptors with."""
         return int(cv2.NORM_L2)
 
