@@ -157,7 +157,7 @@ class DisparityCheck:
         """Coefficients of the field over all pairs, and their covariance."""
         field = np.zeros(DISPARITY_TERMS)
         motions: list[FloatArray | None] = [None] * len(self._pairs)
-        covariance = np.zeros((DISPARITY_TERMS, DISPARITY_TERMS))
+        covariance: FloatArray = np.zeros((DISPARITY_TERMS, DISPARITY_TERMS))
         for _ in range(5):
             information = np.zeros((DISPARITY_TERMS, DISPARITY_TERMS))
             gradient = np.zeros(DISPARITY_TERMS)
@@ -181,7 +181,7 @@ class DisparityCheck:
             # each frame enters several pairs: count it once
             overlap = 2.0 * max(1.0, float(np.mean([b - a for a, b in self._pairs])))
             inflation = max(1.0, float(np.median(ratio))) * overlap
-            covariance = inflation * np.linalg.inv(information)
+            covariance = np.asarray(inflation * np.linalg.inv(information), dtype=np.float64)
             if float(np.abs(step).max()) < 1e-3:
                 break
         return field, covariance

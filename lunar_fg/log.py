@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import json
 import sqlite3
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from types import TracebackType
@@ -188,18 +189,38 @@ class TraverseLog:
         InputError
             The keyframe is in the log already, or the file cannot be written.
         """
+        self._transact([(keyframe, estimate)], start_anew=False)
+
+    def rewrite(self, entries: Sequence[tuple[Keyframe, Estimate]]) -> None:
+        """Replace all keyframes by these, all or nothing: the first ones were re-measured.
+
+        Raises
+        ------
+        InputError
+            The file cannot be written; the old keyframes are kept.
+        """
+        self._transact(entries, start_anew=True)
+
+    def _transact(
+        self, entries: Sequence[tuple[Keyframe, Estimate]], *, start_anew: bool
+    ) -> None:
         try:
             self._db.execute("BEGIN IMMEDIATE")
             try:
-                self._insert(keyframe, estimate)
+                if start_anew:
+                    for table in ("estimate", "relative", "observations", "keyframe"):
+                        self._db.execute(f"DELETE FROM {table}")
+                for keyframe, estimate in entries:
+                    self._insert(keyframe, estimate)
             except BaseException:
                 self._db.execute("ROLLBACK")
                 raise
             self._db.execute("COMMIT")
         except sqlite3.IntegrityError as error:
             raise InputError(
-                "is in the log already", source=self._path, field=f"keyframe {keyframe.index}"
-            ) from error
+                "is in the log already", source=self._path,
+                field=f"keyframe {entries[-1][0].index}",
+            ) from error  # fmt: skip
         except sqlite3.Error as error:
             raise InputError(
                 f"cannot be written ({error})", source=self._path,
@@ -259,8 +280,8 @@ class TraverseLog:
 
     def _relative(self, row: tuple[Any, ...], where: str) -> RelativePose:
         pose, covariance, inliers, correspondences, verdict, reason = row
-        arrays = [self._unpack(blob, where) for blob in (pose, covariance, inliers)]
-        return RelativePose(*arrays, correspondences, Verdict(verdict), reason)
+        a_T_b, matrix, ids = (self._unpack(blob, where) for blob in (pose, covariance, inliers))
+        return RelativePose(a_T_b, matrix, ids, correspondences, Verdict(verdict), reason)
 
     def estimates(self) -> list[Estimate]:
         """Read the estimates as they stood when each keyframe came in."""

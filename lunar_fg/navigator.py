@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 from frontends.camera import StereoCamera, level_rover_T_camera
 from frontends.measurements import Estimate, StartPrior, StereoFrame, UnusableFrame
 from lunar_fg.config import Config
-from lunar_fg.frontend import Frontend, FrameReport
+from lunar_fg.frontend import FrameReport, Frontend
 from lunar_fg.graph.incremental import IncrementalSmoother
+from lunar_fg.log import TraverseLog
 from lunar_fg.self_calibration import SelfCalibration
 from lunar_fg.stopwatch import Stopwatch
 from lunar_fg.trajectory import Trajectory
@@ -33,6 +34,8 @@ class Navigator:
         (4, 4) pose of the left camera in the rover; level and forward by default.
     start
         Where the rover starts; the map's origin by default.
+    log
+        Where every measurement and estimate is kept, for `lunar_fg.runs.optimize`.
     """
 
     def __init__(
@@ -41,12 +44,14 @@ class Navigator:
         config: Config | None = None,
         rover_T_camera: FloatArray | None = None,
         start: StartPrior | None = None,
+        log: TraverseLog | None = None,
     ) -> None:
         self.camera = camera
         self.config = config or Config()
         self.rover_T_camera = level_rover_T_camera() if rover_T_camera is None else rover_T_camera
         self.stopwatch = Stopwatch()
         self.frames_lost = 0
+        self._log = log
         self._start = start or StartPrior()
         self._frontend = Frontend(camera, self.rover_T_camera, self.config, self.stopwatch)
         self._calibration = SelfCalibration(camera, self.config.disparity_check)
@@ -65,6 +70,9 @@ class Navigator:
             keyframe = self._frontend.measure(frame)
             with self.stopwatch.stage("graph"):
                 estimate = self._smoother.add(keyframe)
+            if self._log is not None:
+                with self.stopwatch.stage("log"):
+                    self._log.append(keyframe, estimate)
             if self._calibration.watch(keyframe):
                 with self.stopwatch.stage("self-calibration"):
                     estimate = self._recalibrate()
@@ -87,6 +95,11 @@ class Navigator:
     def reports(self) -> list[FrameReport]:
         """Counts of every frame so far."""
         return self._frontend.reports
+
+    @property
+    def frames_usable(self) -> int:
+        """How many frames so far had images that could be used."""
+        return len(self.reports) - len(self._frontend.unusable)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -115,4 +128,7 @@ class Navigator:
         keyframes = self._calibration.corrected(finding.field_px, self._frontend.positioning)
         self._frontend.adopt(finding.field_px, keyframes[-1])
         self._smoother = self._new_smoother()
-        return [self._smoother.add(keyframe) for keyframe in keyframes][-1]
+        entries = [(keyframe, self._smoother.add(keyframe)) for keyframe in keyframes]
+        if self._log is not None:
+            self._log.rewrite(entries)
+        return entries[-1][1]

@@ -24,8 +24,15 @@ from pydantic import BaseModel
 from frontends.errors import InputError
 from frontends.measurements import Estimate
 from lunar_fg.evaluation.metrics import Metrics
-from lunar_fg.trajectory import Trajectory
-from lunar_fg.trajectory_io import kitti_text, read_trajectory, tum_line, tum_text
+from lunar_fg.trajectory import Trajectory, Truth
+from lunar_fg.trajectory_io import (
+    kitti_text,
+    position_text,
+    read_track,
+    read_trajectory,
+    tum_line,
+    tum_text,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -43,7 +50,14 @@ _FILES = (
     "run.log",
 )
 #: Files that later steps put into a run's folder; overwriting the run removes them too.
-_LATER_FILES = ("run.db", "run.db-wal", "run.db-shm", "report.html")
+_LATER_FILES = (
+    "run.db",
+    "run.db-wal",
+    "run.db-shm",
+    "ground_truth.tum",
+    "ground_truth_position.csv",
+    "report.html",
+)
 _PICTURES = ("*.png", "*.svg", "*.pdf")
 
 
@@ -139,6 +153,11 @@ class RunFolder:
         return self.path / "run.log"
 
     @property
+    def database_path(self) -> Path:
+        """Log of every measurement, see `lunar_fg.log`."""
+        return self.path / "run.db"
+
+    @property
     def plots_path(self) -> Path:
         """Folder of the pictures."""
         return self.path / "plots"
@@ -184,6 +203,20 @@ class RunFolder:
         ):
             return trajectory
         return Trajectory(stamps, trajectory.map_T_rover, covariance)
+
+    def write_truth(self, truth: Truth) -> None:
+        """Keep the truth that the run is compared with beside its results."""
+        if isinstance(truth, Trajectory):
+            _write(self.path / "ground_truth.tum", tum_text(truth).encode())
+        else:
+            _write(self.path / "ground_truth_position.csv", position_text(truth).encode())
+
+    def read_truth(self) -> Truth | None:
+        """Read the truth that the run was compared with, where there was one."""
+        for name in ("ground_truth.tum", "ground_truth_position.csv"):
+            if (self.path / name).is_file():
+                return read_track(self.path / name)
+        return None
 
     def recorder(self, *, rover_T_camera: FloatArray | None = None) -> EstimateRecorder:
         """Record a run's estimates as they come; for a ``with`` statement."""

@@ -107,6 +107,13 @@ def kitti_text(trajectory: Trajectory) -> str:
     return "".join(" ".join(f"{value:.12e}" for value in row) + "\n" for row in rows)
 
 
+def position_text(track: PositionTrack) -> str:
+    """Position CSV with the header ``stamp_s,x_m,y_m[,z_m]``."""
+    names = ["stamp_s", "x_m", "y_m", "z_m"][: 1 + track.position_m.shape[1]]
+    rows = np.column_stack([track.stamp_s, track.position_m]).tolist()
+    return "\n".join([",".join(names), *(",".join(map(repr, row)) for row in rows)]) + "\n"
+
+
 def write_tum(path: str | Path, trajectory: Trajectory) -> None:
     """Write a TUM file."""
     Path(path).write_text(tum_text(trajectory), encoding="utf-8")

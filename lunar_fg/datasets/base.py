@@ -87,7 +87,7 @@ class Dataset(Protocol):
         ...
 
     @property
-    def rover_T_camera(self) -> FloatArray:  # noqa: N802  poses are named by their frames
+    def rover_T_camera(self) -> FloatArray:
         """(4, 4) pose of the left camera in rover axes."""
         ...
 

@@ -14,6 +14,7 @@ from frontends.errors import InputError
 from frontends.measurements import StartPrior, StereoFrame, UnusableFrame
 from lunar_fg.datasets.association import attitude_at_frames, odometry_between_frames
 from lunar_fg.datasets.base import FloatArray, GroundTruth, MapReference, OrbitalFiles
+from lunar_fg.datasets.image_pairs import pair_by_name, read_frame_positions
 from lunar_fg.datasets.schema import MapModel, OrbitalModel, Traverse, nearest_known, read_traverse
 from lunar_fg.datasets.stereo_files import StereoFiles, StereoPair, check_sizes, find_white_level
 from lunar_fg.datasets.tables import (
@@ -73,27 +74,38 @@ class FolderReader:
         """Whether there is a ``traverse.yaml``."""
         return (path / TRAVERSE).is_file()
 
-    def open(self, path: Path, images_root: Path | None = None) -> FolderDataset:
+    def open(
+        self, path: Path, images_root: Path | None = None, traverse_file: Path | None = None
+    ) -> FolderDataset:
         """Open a folder and check all that can be checked without decoding images.
 
         Parameters
         ----------
         path
-            Folder of the ``traverse.yaml``.
+            Folder of the tables and, as a rule, of the ``traverse.yaml``.
         images_root
             Folder that the paths in frames.csv are relative to; default `path`.
+        traverse_file
+            ``traverse.yaml`` that lies elsewhere. Then frames.csv may be missing: the
+            images in ``left/`` and ``right/`` are paired by name.
 
         Raises
         ------
         InputError
             One line that names file, field or line, what is wrong and the remedy.
         """
-        traverse = read_traverse(path / TRAVERSE)
-        _check_names(path)
+        described_by = traverse_file or path / TRAVERSE
+        traverse = read_traverse(described_by)
         camera = traverse.camera.build()
-        rows = read_frames_csv(path / FRAMES)
+        truth, dating = None, None
+        if traverse_file is not None and not (path / FRAMES).is_file():
+            rows, dating = pair_by_name(path)
+            truth = read_frame_positions(path)
+        else:
+            _check_names(path)
+            rows = read_frames_csv(path / FRAMES)
         pairs = _pairs(path, rows, _existing_folder(images_root, path))
-        check_sizes(camera, pairs, path / TRAVERSE, "camera")
+        check_sizes(camera, pairs, described_by, "camera")
         white_level, note = find_white_level(pairs)
         return FolderDataset(
             name=path.resolve().name,
@@ -101,10 +113,10 @@ class FolderReader:
             files=StereoFiles(camera, pairs, white_level, traverse.sun_direction()),
             rover_T_camera=traverse.camera_mount(),
             start=traverse.start_prior(),
-            ground_truth=_ground_truth(path),
+            ground_truth=truth or _ground_truth(path),
             map_reference=_map_reference(path, traverse),
             orbital=_orbital(path, traverse.orbital),
-            notes=(note,) if note else (),
+            notes=tuple(text for text in (dating, note) if text),
         )
 
 

@@ -15,7 +15,11 @@ from lunar_fg.datasets.schema import nearest_known
 READERS: tuple[Reader, ...] = (FolderReader(), KittiReader())
 
 
-def open_dataset(path: Path | str, images_root: Path | str | None = None) -> Dataset:
+def open_dataset(
+    path: Path | str,
+    images_root: Path | str | None = None,
+    traverse: Path | str | None = None,
+) -> Dataset:
     """Open a dataset, whatever its format.
 
     Parameters
@@ -25,6 +29,8 @@ def open_dataset(path: Path | str, images_root: Path | str | None = None) -> Dat
     images_root
         Folder that the paths in frames.csv are relative to, where the images lie
         somewhere else (folder format only).
+    traverse
+        ``traverse.yaml`` that describes a folder of images without one.
 
     Returns
     -------
@@ -52,6 +58,9 @@ def open_dataset(path: Path | str, images_root: Path | str | None = None) -> Dat
         raise InputError(
             "may not be read", source=folder, field="dataset", remedy="check the folder's rights"
         )
+    if traverse is not None:
+        root = None if images_root is None else Path(images_root)
+        return FolderReader().open(folder, root, Path(traverse))
     for reader in READERS:
         if reader.detects(folder):
             return reader.open(folder, None if images_root is None else Path(images_root))

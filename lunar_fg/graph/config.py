@@ -37,7 +37,7 @@ class GraphConfig(BaseModel):
     landmarks: Literal["segments", "full"] = "segments"
     segment_keyframes: int = Field(default=10, ge=1, le=100)
     gate_probability: float = Field(default=0.999, gt=0.5, lt=1.0)
-    robust_threshold_sigma: float = Field(default=3.0, ge=0.5, le=100.0)
+    robust_threshold_sigma: float = Field(default=2.0, ge=0.5, le=100.0)
     min_tracks: int = Field(default=8, ge=3)
     max_track_gap: int = Field(default=10, ge=1)
     max_landmarks: int = Field(default=1000, ge=20)

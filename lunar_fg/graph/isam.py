@@ -72,8 +72,12 @@ class GuardedIsam:
         EstimationError
             When they cannot be solved; the graph is as it was before the call.
         """
+        # Without this iSAM2 orders every landmark just seen behind all else: one dense clique.
+        last = gtsam.KeyGroupMap()
+        for key in _pose_keys(values):
+            last.insert2(key, 1)
         try:
-            self._isam.update(factors, values)
+            self._isam.update(factors, values, [], last)
             self._check_finite(values)
         except _GTSAM_ERRORS as error:
             self._recover(factors, values, frame, error)
@@ -81,9 +85,8 @@ class GuardedIsam:
         self._initial.insert(values)
 
     def _check_finite(self, values: gtsam.Values) -> None:
-        for key in values.keys():  # noqa: SIM118
-            if gtsam.Symbol(key).chr() == ord("x") and not np.isfinite(self.pose(key)).all():
-                raise ValueError("the estimate is not finite")
+        if not all(np.isfinite(self.pose(key)).all() for key in _pose_keys(values)):
+            raise ValueError("the estimate is not finite")
 
     def _recover(
         self,
@@ -149,7 +152,7 @@ class GuardedIsam:
     @staticmethod
     def _largest_pose_step(isam: gtsam.ISAM2) -> float:
         delta = isam.getDelta()
-        keys = gtsam.utilities.allPose3s(isam.getLinearizationPoint()).keys()
+        keys = _pose_keys(isam.getLinearizationPoint())
         return max(float(np.abs(delta.at(key)).max()) for key in keys)
 
     def settle(self) -> None:
@@ -181,6 +184,10 @@ class GuardedIsam:
             return
         self._initial = isam.calculateEstimate()
         self._rebuild(self._initial)
+
+
+def _pose_keys(values: gtsam.Values) -> list[int]:
+    return list(gtsam.utilities.allPose3s(values).keys())
 
 
 def _first_line(error: Exception) -> str:

@@ -53,8 +53,8 @@ class TraverseSpec:
     bad_share: float = 0.0
     odometry: bool = False
     tilt: bool = False
-    relative_sigma_rot_rad: float = 2e-3
-    relative_sigma_trans_m: float = 0.02
+    relative_sigma_rot_rad: float = 5e-4
+    relative_sigma_trans_m: float = 0.005
 
 
 @dataclass(frozen=True, slots=True)

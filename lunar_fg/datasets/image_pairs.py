@@ -1,0 +1,101 @@
+"""A bare folder of ``left/`` and ``right/`` images, described by a traverse.yaml elsewhere."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+
+from frontends.errors import InputError
+from lunar_fg.datasets.base import GroundTruth
+from lunar_fg.datasets.images import SUFFIXES
+from lunar_fg.datasets.tables import FrameRow, read_csv
+
+#: Optional positions by frame: ``frame,time_s,x_m,y_m[,z_m]``; it also dates the frames.
+FRAME_POSITIONS = "ground_truth.csv"
+#: Assumed time between frames where nothing dates them.
+PERIOD_S = 1.0
+
+
+def pair_by_name(path: Path) -> tuple[tuple[FrameRow, ...], str | None]:
+    """Pair ``left/NAME`` with ``right/NAME``; the number in the name is the frame.
+
+    Returns
+    -------
+    rows, note
+        One row a pair, in the order of their numbers; what was assumed of the times.
+
+    Raises
+    ------
+    InputError
+        When a folder is missing or empty, an image lacks its partner or a number, or a
+        frame has no time.
+    """
+    names = {side: _images(path / side) for side in ("left", "right")}
+    for side, other in (("left", "right"), ("right", "left")):
+        alone = sorted(set(names[side]) - set(names[other]))
+        if alone:
+            raise InputError(
+                f"{other}/{alone[0]} does not exist",
+                source=path,
+                field=f"{side}/{alone[0]}",
+                remedy="images are paired by name: add it, or remove its partner",
+            )
+    numbered = sorted((_number(path, name), name) for name in names["left"])
+    times = _times(path)
+    rows = []
+    for line, (frame, name) in enumerate(numbered, start=1):
+        if times is not None and frame not in times:
+            raise InputError(
+                f"has no time for frame {frame}",
+                source=path / FRAME_POSITIONS,
+                remedy="add the row, or write a frames.csv",
+            )
+        stamp = PERIOD_S * frame if times is None else times[frame]
+        rows.append(FrameRow(line, frame, stamp, f"left/{name}", f"right/{name}"))
+    note = None if times is not None else f"frames are taken to be {PERIOD_S:g} s apart"
+    return tuple(rows), note
+
+
+def read_frame_positions(path: Path) -> GroundTruth | None:
+    """Position-only truth beside the images, where there is one, in a frame of its own."""
+    if not (path / FRAME_POSITIONS).is_file():
+        return None
+    table = read_csv(path / FRAME_POSITIONS, ("frame", "time_s", "x_m", "y_m"), ("z_m",))
+    has_height = "z_m" in table.columns
+    z = table.numbers("z_m") if has_height else np.zeros(len(table))
+    position = np.column_stack([table.numbers("x_m"), table.numbers("y_m"), z])
+    return GroundTruth(table.increasing("time_s"), position, has_height=has_height)
+
+
+def _times(path: Path) -> dict[int, float] | None:
+    if not (path / FRAME_POSITIONS).is_file():
+        return None
+    table = read_csv(path / FRAME_POSITIONS, ("frame", "time_s", "x_m", "y_m"), ("z_m",))
+    frames = table.numbers("frame").astype(np.int64).tolist()
+    return dict(zip(frames, table.increasing("time_s").tolist(), strict=True))
+
+
+def _images(folder: Path) -> list[str]:
+    names = os.listdir(folder) if folder.is_dir() else []
+    images = [name for name in names if name.lower().endswith(SUFFIXES)]
+    if not images:
+        raise InputError(
+            "holds no images",
+            source=folder,
+            remedy="put the images into left/ and right/ under equal names, or write a frames.csv",
+        )
+    return images
+
+
+def _number(path: Path, name: str) -> int:
+    digits = re.findall(r"\d+", Path(name).stem)
+    if not digits or len(digits[-1]) > 12:
+        raise InputError(
+            f"left/{name[:100]} has no frame number in its name",
+            source=path,
+            remedy="number the images, or write a frames.csv",
+        )
+    return int(digits[-1])
