@@ -1,0 +1,81 @@
+"""Monte Carlo: the covariances say how large the errors are."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from frontends.geometry import inverse, se3_log
+from lunar_fg.graph import GraphConfig, IncrementalSmoother
+from lunar_fg.simulation.measurements import TraverseSpec, simulate
+
+
+def squared_error(pose, covariance, truth):
+    error = se3_log(inverse(pose) @ truth)
+    return error @ np.linalg.solve(covariance, error)
+
+
+def monte_carlo(mode, spec, seeds):
+    """Squared errors (runs, places): online inside a segment, online last, smoothed mid, last."""
+    rows = []
+    for seed in seeds:
+        run = simulate(spec, seed)
+        config = GraphConfig(landmarks=mode)
+        smoother = IncrementalSmoother(run.camera, run.rover_T_camera, run.start, config)
+        estimates = [smoother.add(keyframe) for keyframe in run.keyframes]
+        smoother.finish()
+        smoothed = smoother.trajectory()
+        n = len(estimates)
+        row = [
+            squared_error(estimates[i].map_T_rover, estimates[i].covariance, run.map_T_rover[i])
+            for i in (n // 2 + 2, n - 1)
+        ]
+        row += [
+            squared_error(smoothed.map_T_rover[i], smoothed.covariance[i], run.map_T_rover[i])
+            for i in (n // 2 + 2, n - 1)
+        ]
+        rows.append(row)
+    return np.array(rows)
+
+
+@pytest.mark.parametrize(
+    ("mode", "spec", "runs"),
+    [
+        ("segments", TraverseSpec(keyframes=33), 40),
+        ("segments", TraverseSpec(keyframes=33, bad_share=0.1, odometry=True, tilt=True), 40),
+        ("full", TraverseSpec(keyframes=24, landmarks=60), 30),
+        ("full", TraverseSpec(keyframes=24, landmarks=60, bad_share=0.1), 30),
+    ],
+    ids=["segments", "segments-outliers-odometry-tilt", "full", "full-outliers"],
+)
+def test_nees_lies_in_its_band(mode, spec, runs):
+    squared = monte_carlo(mode, spec, range(500, 500 + runs))
+    # 95 % for all four places of a case together (Bonferroni).
+    low, high = chi2.ppf([0.025 / 4, 1 - 0.025 / 4], 6 * runs) / (6 * runs)
+    nees = squared.mean(axis=0) / 6.0
+    assert (nees > low).all(), nees
+    assert (nees < high).all(), nees
+
+
+def test_the_same_pixels_twice_would_be_over_confident():
+    """Why the visual relative pose is no factor: entered as odometry, NEES leaves the band."""
+    from dataclasses import replace
+
+    from frontends.measurements import Odometry
+    from lunar_fg.graph.segment import Segment
+
+    spec, config, squared = TraverseSpec(keyframes=11), GraphConfig(), []
+    for seed in range(20):
+        run = simulate(spec, seed)
+        once = Segment(run.camera, run.rover_T_camera, config, run.keyframes[0])
+        for keyframe in run.keyframes[1:]:
+            once.add(keyframe)
+        solved = once.solve()
+        twice = Segment(run.camera, run.rover_T_camera, config, run.keyframes[0])
+        for k, keyframe in enumerate(run.keyframes[1:], start=1):
+            motion = inverse(solved.first_T_rover[k - 1]) @ solved.first_T_rover[k]
+            pair = solved.covariance[6 * k - 6 : 6 * k, 6 * k - 6 : 6 * k] / k
+            twice.add(replace(keyframe, odometry=Odometry(motion, pair)))
+        again = twice.solve()
+        truth = inverse(run.map_T_rover[0]) @ run.map_T_rover[-1]
+        squared.append(squared_error(again.first_T_last, again.last_covariance, truth))
+    assert np.mean(squared) / 6.0 > chi2.ppf(0.999, 120) / 120.0

@@ -1,0 +1,119 @@
+"""The two-view gate and the geometry below it."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from frontends.geometry import inverse, se3_exp
+from lunar_fg.graph.tracks import (
+    Sightings,
+    TrackTable,
+    homogeneous,
+    pose_jacobian,
+    project,
+    projection_jacobian,
+    two_view_distance,
+)
+from lunar_fg.simulation.measurements import TraverseSpec, simulate
+
+
+@pytest.fixture(scope="module")
+def traverse():
+    return simulate(TraverseSpec(keyframes=12, landmarks=300), seed=3)
+
+
+def numerical(function, x, step=1e-6):
+    columns = []
+    for i in range(len(x)):
+        d = np.zeros(len(x))
+        d[i] = step
+        columns.append((function(x + d) - function(x - d)) / (2 * step))
+    return np.stack(columns, axis=-1)
+
+
+def test_projection_inverts_homogeneous(traverse):
+    uuv = np.array([[300.0, 280.0, 100.0], [10.0, 9.9, 470.0]])
+    np.testing.assert_allclose(project(traverse.camera, homogeneous(traverse.camera, uuv)), uuv)
+
+
+def test_jacobians_match_differences(traverse):
+    camera = traverse.camera
+    point = np.array([0.3, -0.2, 1.1, 0.15])
+    expected = numerical(lambda x: project(camera, x[None])[0], point)
+    np.testing.assert_allclose(
+        projection_jacobian(camera, point[None])[0], expected, rtol=1e-5, atol=1e-4
+    )
+    expected = numerical(lambda xi: inverse(se3_exp(xi)) @ point, np.zeros(6))
+    np.testing.assert_allclose(pose_jacobian(point[None])[0], expected, atol=1e-8)
+
+
+def shared(first, second):
+    _, a, b = np.intersect1d(first.landmark, second.landmark, return_indices=True)
+    return first.take(a), second.take(b)
+
+
+def test_distance_is_chi_square_with_three_degrees(traverse):
+    distances = []
+    for a, b in zip(traverse.keyframes, traverse.keyframes[1:], strict=False):
+        first, second = shared(Sightings.of(a.observations), Sightings.of(b.observations))
+        motion = b.relative
+        distances.append(
+            two_view_distance(traverse.camera, first, second, motion.a_T_b, motion.covariance)
+        )
+    distances = np.concatenate(distances)
+    # Sightings of one pair share the motion's error, so the band is wider than 1/sqrt(n).
+    assert distances.mean() == pytest.approx(3.0, rel=0.15)
+    assert np.mean(distances > chi2.ppf(0.99, 3)) < 0.03
+
+
+def test_bad_sightings_are_cut_and_good_ones_pass():
+    for share, low, high in ((0.0, 0.0, 0.01), (0.2, 0.15, 0.45)):
+        traverse = simulate(TraverseSpec(keyframes=10, bad_share=share), seed=5)
+        table = TrackTable(traverse.camera, 0.999, 10)
+        linked = cut = 0
+        for k, keyframe in enumerate(traverse.keyframes):
+            motion = keyframe.motion(traverse.rover_T_camera) if k else None
+            tracked = table.add(Sightings.of(keyframe.observations), motion, 3)
+            linked, cut = linked + tracked.linked, cut + tracked.cut
+        assert low <= cut / (cut + linked) <= high
+
+
+def test_too_few_links_cut_all(traverse):
+    table = TrackTable(traverse.camera, 0.999, 10)
+    first, second = traverse.keyframes[:2]
+    table.add(Sightings.of(first.observations), None, None)
+    tracked = table.add(
+        Sightings.of(second.observations), second.motion(traverse.rover_T_camera), 10_000
+    )
+    assert tracked.linked == 0
+    assert tracked.cut > 100
+
+
+def test_a_landmark_survives_a_gap_up_to_the_limit(traverse):
+    keyframes = traverse.keyframes[:4]
+    sightings = Sightings.of(keyframes[0].observations).take(np.arange(20))
+    still = (np.eye(4), 1e-6 * np.eye(6))
+    for max_gap, expected in ((3, 20), (2, 0)):
+        table = TrackTable(traverse.camera, 0.999, max_gap)
+        table.add(sightings, None, None)
+        for _ in range(2):
+            table.add(Sightings.of(None), still, 1)
+        assert table.add(sightings, still, 1).linked == expected
+
+
+def test_points_behind_the_second_camera_never_pass(traverse):
+    sightings = Sightings.of(traverse.keyframes[0].observations)
+    past = np.eye(4)
+    past[2, 3] = 1000.0
+    distance = two_view_distance(traverse.camera, sightings, sightings, past, np.eye(6))
+    assert np.isinf(distance).all()
+
+
+def test_non_positive_disparity_is_left_out(traverse):
+    observations = traverse.keyframes[0].observations
+    swapped = observations.__class__(
+        observations.landmark_id, observations.u_right, observations.u_left, observations.v,
+        observations.sigma_px, observations.sigma_disparity_px, observations.points_cam,
+        observations.points_covariance,
+    )  # fmt: skip
+    assert len(Sightings.of(swapped)) == 0
