@@ -6,9 +6,11 @@ cached on disk (a second process loads machine code instead of compiling).
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import time
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
@@ -22,8 +24,19 @@ logger = logging.getLogger("lunar_fg.surf")
 _FASTMATH = {"nnan", "ninf", "nsz", "reassoc", "contract"}
 
 
+_OPTIONS: dict[str, Any] = {"nogil": True, "fastmath": _FASTMATH, "error_model": "numpy"}
+
+
 def njit(function: F) -> F:
-    """Compile `function` on first use: nogil, serial, cached on disk where possible.
+    """Compile a function that kernels call; it is cached as part of them only.
+
+    Were it cached by itself, numba would go on using it after a change in what it calls.
+    """
+    return cast(F, numba.njit(function, **_OPTIONS))
+
+
+def kernel(function: F) -> F:
+    """Compile an entry point: releases the GIL, serial, cached on disk where possible.
 
     Parameters
     ----------
@@ -35,11 +48,24 @@ def njit(function: F) -> F:
     callable
         Its numba dispatcher.
     """
-    options: dict[str, Any] = {"nogil": True, "fastmath": _FASTMATH, "error_model": "numpy"}
     try:
-        return cast(F, numba.njit(function, cache=True, **options))
+        return cast(F, numba.njit(function, cache=True, **_OPTIONS))
     except RuntimeError:  # nowhere to write a cache: still correct, compiles in every process
-        return cast(F, numba.njit(function, **options))
+        return njit(function)
+
+
+def _drop_stale(function: Callable[..., Any], folder: str) -> None:
+    """Delete cached code older than any source of this package.
+
+    numba checks only the file of the kernel itself, not those of the functions inlined in it.
+    """
+    sources = Path(__file__).parent.glob("*.py")
+    newest = max(max(stat.st_mtime, stat.st_ctime) for stat in map(Path.stat, sources))
+    stem = Path(function.__code__.co_filename).stem
+    for index in Path(folder).glob(f"{stem}.{function.__name__}-*.nbi"):
+        with contextlib.suppress(OSError):
+            if index.stat().st_mtime < newest:
+                index.unlink()
 
 
 def load_kernels(kernels: Iterable[tuple[Callable[..., Any], str]]) -> float:
@@ -60,6 +86,8 @@ def load_kernels(kernels: Iterable[tuple[Callable[..., Any], str]]) -> float:
     announced = False
     for kernel, signature in kernels:
         dispatcher = cast(Any, kernel)
+        if not dispatcher.signatures and dispatcher.stats.cache_path:
+            _drop_stale(dispatcher.py_func, dispatcher.stats.cache_path)
         dispatcher.compile(signature)
         if dispatcher.stats.cache_misses and not announced:
             announced = True

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from frontends.surf._jit import njit
+from frontends.surf._jit import kernel, njit
 from frontends.surf.lattice import LATTICE_LANES, LINE_LENGTH, sample_lattice
 from frontends.surf.orientation import BINS_LENGTH, orientation
 
@@ -32,7 +32,7 @@ def window_weights() -> NDArray[np.float32]:
     return np.asarray(np.exp(axis**2 / (-2 * _SIGMA**2)) * (axis < 10), np.float32)
 
 
-@njit
+@kernel
 def box_pairs(integral: NDArray[np.int32], out: NDArray[np.uint32]) -> None:
     """Sum 2 x 2 pixels at every position: the samples of the rotated window.
 
@@ -230,7 +230,7 @@ def describe_rotated(
     _normalise(out)
 
 
-@njit
+@kernel
 def describe_level(
     integral: NDArray[np.int32],
     boxes: NDArray[np.uint32],

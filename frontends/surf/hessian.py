@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from frontends.surf._jit import njit
+from frontends.surf._jit import kernel, njit
 from frontends.surf.integral import FRACTION_BITS, PAD, padded_length
 
 # (0.9 Dxy)^2 of eq. 10, for lobe means: the paper's 0.9 is for sums, and a Dxy lobe has 3/5 of
@@ -270,7 +270,7 @@ def _first_of_ties(dense: NDArray[np.float32], layer: int, centre: int, k: int) 
     return True
 
 
-@njit
+@kernel
 def detect_pair(
     integral: NDArray[np.int32],
     w: int,
@@ -520,7 +520,7 @@ def refine(
     return True
 
 
-@njit
+@kernel
 def refine_all(
     integral: NDArray[np.int32],
     lobe: int,

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from frontends.surf._jit import njit
+from frontends.surf._jit import kernel, njit
 
 LANES = 64  # row lengths of hot loops are multiples of this: no scalar remainder after SIMD
 PAD = 56  # >= 10 * sqrt(2) * 3.6 + 3: the widest rotated descriptor window, in pixels
@@ -29,7 +29,7 @@ def padded_length(length: int) -> int:
     return (length + LANES - 1) // LANES * LANES
 
 
-@njit
+@kernel
 def halve(image: NDArray[Any], shift: int, out: NDArray[np.uint16]) -> None:
     """Means of 2x2 blocks, rounded: ``out = (sum + half) >> shift``.
 
@@ -55,7 +55,7 @@ def halve(image: NDArray[Any], shift: int, out: NDArray[np.uint16]) -> None:
             ) >> shift
 
 
-@njit
+@kernel
 def integrate(image: NDArray[Any], shift: int, out: NDArray[np.int32]) -> None:
     """Integral image (eq. 8) of the image padded by `PAD` replicated pixels.
 
@@ -103,38 +103,54 @@ def integrate(image: NDArray[Any], shift: int, out: NDArray[np.int32]) -> None:
                 row[x] = above[x] + sums[x]
 
 
-def integral_image(image: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArray[np.int32]:
+def integral_shape(height: int, width: int) -> tuple[int, int]:
+    """Shape of the padded integral image of a level; its columns are rounded up for SIMD.
+
+    Returns
+    -------
+    (H + 2 PAD + 1, N), N >= W + 2 PAD + 1 + `LANES`
+    """
+    return height + 2 * PAD + 1, int(padded_length(width + 2 * PAD + 1 + LANES))
+
+
+def integral_image(
+    image: NDArray[np.uint8] | NDArray[np.uint16], out: NDArray[np.int32] | None = None
+) -> NDArray[np.int32]:
     """Make the padded integral image of one pyramid level.
 
     Parameters
     ----------
     image : ndarray (H, W) uint8 or uint16
         Grey values, or grey*4 for a uint16 level.
+    out : ndarray int32, optional
+        Of `integral_shape`.
 
     Returns
     -------
-    ndarray (H + 2 PAD + 1, N) int32
-        Sums of grey*4, modulo 2**32. N >= W + 2 PAD + 1; columns beyond
-        W + 2 PAD + 1 hold nothing of use.
+    ndarray of `integral_shape`, int32
+        Sums of grey*4, modulo 2**32; columns beyond W + 2 PAD + 1 hold nothing of use.
     """
-    h, w = image.shape
-    columns = int(padded_length(w + 2 * PAD + 1 + LANES))
-    out = np.empty((h + 2 * PAD + 1, columns), np.int32)
+    if out is None:
+        out = np.empty(integral_shape(*image.shape), np.int32)
     integrate(image, FRACTION_BITS if image.dtype == np.uint8 else 0, out)
     return out
 
 
-def half_image(image: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArray[np.uint16]:
+def half_image(
+    image: NDArray[np.uint8] | NDArray[np.uint16], out: NDArray[np.uint16] | None = None
+) -> NDArray[np.uint16]:
     """Next pyramid level: means of 2x2 blocks in grey*4.
 
     Parameters
     ----------
     image : ndarray (H, W) uint8 or uint16
+    out : ndarray (H // 2, W // 2) uint16, optional
 
     Returns
     -------
     ndarray (H // 2, W // 2) uint16
     """
-    out = np.empty((image.shape[0] // 2, image.shape[1] // 2), np.uint16)
+    if out is None:
+        out = np.empty((image.shape[0] // 2, image.shape[1] // 2), np.uint16)
     halve(image, 0 if image.dtype == np.uint8 else 2, out)
     return out

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import cv2
@@ -10,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontends.errors import InputError
-from frontends.surf.descriptor import box_pairs, describe_level, window_weights
+from frontends.surf.descriptor import describe_level, window_weights
 from frontends.surf.hessian import NEIGHBOURS, detect_pair, refine_all
-from frontends.surf.integral import PAD, half_image, integral_image
+from frontends.surf.integral import PAD
 from frontends.surf.keypoints import Keypoints
 from frontends.surf.orientation import sample_weights
+from frontends.surf.pyramid import Buffers, Pyramid
 from frontends.surf.warmup import warmup
 
 DESCRIPTOR_SIZE = 64
@@ -42,6 +44,11 @@ class SURF:
         distinctive.
     max_keypoints : int, optional
         Keep the strongest.
+
+    Notes
+    -----
+    An instance may be used by several threads at once (the kernels release the GIL). It keeps
+    its buffers, about 12 bytes a pixel (18 unless upright) and a thread, between calls.
 
     Raises
     ------
@@ -72,6 +79,7 @@ class SURF:
         self.max_keypoints = max_keypoints
         self._window = window_weights()
         self._samples = sample_weights()
+        self._spare: list[Buffers] = []  # pop and append are atomic
 
     def detectAndCompute(
         self, image: NDArray[np.uint8], mask: NDArray[np.uint8] | None = None
@@ -98,9 +106,10 @@ class SURF:
             The image or the mask cannot be used.
         """
         grey = _grey(image)
-        pyramid = _Pyramid(grey)
-        keypoints = self._detect(pyramid, _checked_mask(mask, grey.shape))
-        descriptors, angles = self._describe(pyramid, keypoints, assign=True)
+        allowed = _checked_mask(mask, grey.shape)
+        with self._pyramid(grey) as pyramid:
+            keypoints = self._detect(pyramid, allowed)
+            descriptors, angles = self._describe(pyramid, keypoints, assign=True)
         return _with_angle(keypoints, angles), descriptors
 
     def detect(self, image: NDArray[np.uint8], mask: NDArray[np.uint8] | None = None) -> Keypoints:
@@ -136,7 +145,8 @@ class SURF:
             raise InputError("sizes must be positive", source="keypoints", field="size")
         if not np.isfinite(keypoints.angle).all():
             raise InputError("angles must be finite", source="keypoints", field="angle")
-        return keypoints, self._describe(_Pyramid(grey), keypoints, assign=False)[0]
+        with self._pyramid(grey) as pyramid:
+            return keypoints, self._describe(pyramid, keypoints, assign=False)[0]
 
     def descriptorSize(self) -> int:
         """Numbers in a descriptor."""
@@ -150,7 +160,20 @@ class SURF:
         """OpenCV's norm to match the descriptors with."""
         return int(cv2.NORM_L2)
 
-    def _detect(self, pyramid: _Pyramid, mask: NDArray[np.bool_] | None) -> Keypoints:
+    @contextlib.contextmanager
+    def _pyramid(self, grey: NDArray[np.uint8]) -> Iterator[Pyramid]:
+        """Lend a set of buffers to one image; threads that run at the same time get their own."""
+        warmup()
+        try:
+            buffers = self._spare.pop()
+        except IndexError:
+            buffers = Buffers()
+        try:
+            yield Pyramid(grey, buffers)
+        finally:
+            self._spare.append(buffers)
+
+    def _detect(self, pyramid: Pyramid, mask: NDArray[np.bool_] | None) -> Keypoints:
         layers = self._candidates(pyramid)
         if not layers:
             return Keypoints.empty()
@@ -186,7 +209,7 @@ class SURF:
             np.sign(rows[:, 4]).astype(np.int8),
         )
 
-    def _candidates(self, pyramid: _Pyramid) -> list[_Candidates]:
+    def _candidates(self, pyramid: Pyramid) -> list[_Candidates]:
         """Candidates of each pair of layers of each octave."""
         found: list[_Candidates] = []
         for octave in range(self.octaves):
@@ -199,7 +222,7 @@ class SURF:
         return found
 
     def _describe(
-        self, pyramid: _Pyramid, keypoints: Keypoints, *, assign: bool
+        self, pyramid: Pyramid, keypoints: Keypoints, *, assign: bool
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Descriptors and angles; the angles are computed if `assign`."""
         descriptors = np.empty((len(keypoints), DESCRIPTOR_SIZE), np.float32)
@@ -232,48 +255,11 @@ class SURF:
 _NO_BOXES = np.zeros((1, 1), np.uint32)
 
 
-class _Pyramid:
-    """Block means and integral images of one image, made when first asked for."""
-
-    def __init__(self, grey: NDArray[np.uint8]) -> None:
-        warmup()
-        self._images: list[NDArray[Any]] = [grey]
-        self._integrals: dict[int, NDArray[np.int32]] = {}
-        self._boxes: dict[int, NDArray[np.uint32]] = {}
-        self.levels = max(1, min(grey.shape).bit_length() - 3)  # the last is 4 to 7 pixels
-
-    def shape(self, level: int) -> tuple[int, int]:
-        """Height and width of a level."""
-        height, width = self._images[0].shape
-        return height >> level, width >> level
-
-    def image(self, level: int) -> NDArray[Any]:
-        """Block means: uint8 grey at level 0, uint16 grey*4 above."""
-        while len(self._images) <= level:
-            self._images.append(half_image(self._images[-1]))
-        return self._images[level]
-
-    def integral(self, level: int) -> NDArray[np.int32]:
-        """Give the padded integral image in grey*4."""
-        if level not in self._integrals:
-            self._integrals[level] = integral_image(self.image(level))
-        return self._integrals[level]
-
-    def boxes(self, level: int) -> NDArray[np.uint32]:
-        """Give the sums of 2x2 pixels of the padded level."""
-        if level not in self._boxes:
-            integral = self.integral(level)
-            boxes = np.empty((integral.shape[0] - 2, integral.shape[1]), np.uint32)
-            box_pairs(integral, boxes)
-            self._boxes[level] = boxes
-        return self._boxes[level]
-
-
 class _Candidates:
     """Candidates of one pair of layers."""
 
     def __init__(
-        self, pyramid: _Pyramid, octave: int, lobe: int, threshold: float, single: bool
+        self, pyramid: Pyramid, octave: int, lobe: int, threshold: float, single: bool
     ) -> None:
         self._integral = pyramid.integral(octave)
         self._octave = octave
@@ -281,8 +267,11 @@ class _Candidates:
         width = pyramid.shape(octave)[1]
         capacity = self._integral.size // 32 + 64
         while True:
-            positions = np.empty((capacity, 3), np.int32)
-            neighbours = np.empty((capacity, NEIGHBOURS), np.float32)
+            shape = (capacity, NEIGHBOURS)
+            name = (octave, lobe)
+            buffers = pyramid.buffers
+            positions = buffers.get("positions", *name, shape=(capacity, 3), dtype=np.int32)
+            neighbours = buffers.get("neighbours", *name, shape=shape, dtype=np.float32)
             count = detect_pair(
                 self._integral, width, lobe, np.float32(threshold), single, positions, neighbours
             )

@@ -1,0 +1,80 @@
+"""Block means and integral images of one image, in buffers that outlive it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frontends.surf.descriptor import box_pairs
+from frontends.surf.integral import half_image, integral_image, integral_shape
+
+
+class Buffers:
+    """Arrays kept between calls, by name: fresh memory costs more than the work in it.
+
+    One owner at a time; the contents are whatever the last use left.
+    """
+
+    def __init__(self) -> None:
+        self._arrays: dict[tuple[object, ...], NDArray[Any]] = {}
+
+    def get(self, *key: object, shape: tuple[int, ...], dtype: type) -> NDArray[Any]:
+        """Give the array of that name, shape and type, made if it is not there."""
+        array = self._arrays.get(key)
+        if array is None or array.shape != shape or array.dtype != dtype:
+            array = np.empty(shape, dtype)
+            self._arrays[key] = array
+        return array
+
+
+class Pyramid:
+    """Block means and integral images of one image, made when first asked for.
+
+    Parameters
+    ----------
+    grey : ndarray (H, W) uint8
+    buffers : Buffers
+        Where they are stored; to be used for nothing else meanwhile.
+    """
+
+    def __init__(self, grey: NDArray[np.uint8], buffers: Buffers) -> None:
+        self._images: list[NDArray[Any]] = [grey]
+        self._integrals: dict[int, NDArray[np.int32]] = {}
+        self._boxes: dict[int, NDArray[np.uint32]] = {}
+        self.buffers = buffers
+        self.levels = max(1, min(grey.shape).bit_length() - 3)  # the last is 4 to 7 pixels
+
+    def shape(self, level: int) -> tuple[int, int]:
+        """Height and width of a level."""
+        height, width = self._images[0].shape
+        return height >> level, width >> level
+
+    def image(self, level: int) -> NDArray[Any]:
+        """Give the block means: uint8 grey at level 0, uint16 grey*4 above."""
+        while len(self._images) <= level:
+            below = len(self._images)
+            out = self.buffers.get("image", below, shape=self.shape(below), dtype=np.uint16)
+            half_image(self._images[-1], out)
+            self._images.append(out)
+        return self._images[level]
+
+    def integral(self, level: int) -> NDArray[np.int32]:
+        """Give the padded integral image in grey*4."""
+        if level not in self._integrals:
+            shape = integral_shape(*self.shape(level))
+            out = self.buffers.get("integral", level, shape=shape, dtype=np.int32)
+            integral_image(self.image(level), out)
+            self._integrals[level] = out
+        return self._integrals[level]
+
+    def boxes(self, level: int) -> NDArray[np.uint32]:
+        """Give the sums of 2x2 pixels of the padded level, as `box_pairs` packs them."""
+        if level not in self._boxes:
+            integral = self.integral(level)
+            shape = (integral.shape[0] - 2, integral.shape[1])
+            boxes = self.buffers.get("boxes", level, shape=shape, dtype=np.uint32)
+            box_pairs(integral, boxes)
+            self._boxes[level] = boxes
+        return self._boxes[level]
