@@ -270,6 +270,42 @@ def _first_of_ties(dense: NDArray[np.float32], layer: int, centre: int, k: int) 
     return True
 
 
+@njit
+def _store_candidate(
+    dense: NDArray[np.float32],
+    centre: int,
+    k: int,
+    margin: int,
+    h: int,
+    w: int,
+    single: bool,
+    count: int,
+    positions: NDArray[np.int32],
+    neighbours: NDArray[np.float32],
+) -> int:
+    """Check a flagged maximum at column `k` of `dense` and store it; 1 if it is one, else 0."""
+    x = k + margin
+    layer = 0 if dense[0, centre & 3, k] >= dense[1, centre & 3, k] else 1
+    if layer == 1 and single:
+        return 0
+    edge = margin + 1 + 3 * layer  # the filter one layer up must fit, and one pixel more
+    if centre < edge or centre >= h - edge or x < edge or x >= w - edge:
+        return 0
+    if not _first_of_ties(dense, layer, centre, k):
+        return 0
+    if count < positions.shape[0]:
+        positions[count, 0] = layer
+        positions[count, 1] = centre
+        positions[count, 2] = x
+        i = 0
+        for other in range(2):
+            for row in range(centre - 1, centre + 2):
+                for col in range(k - 1, k + 2):
+                    neighbours[count, i] = dense[other, row & 3, col]
+                    i += 1
+    return 1
+
+
 @kernel
 def detect_pair(
     integral: NDArray[np.int32],
@@ -311,9 +347,7 @@ def detect_pair(
     lobes = (lobe, lobe + 2)
     margin = lobes[1] + lobes[1] // 2  # half of the upper filter
     shifts = (lobe_shift(lobe), lobe_shift(lobe + 2))
-    # a maximum also needs the filter one layer up, and one pixel on each side
-    margins = (margin + 1, margin + 4)
-    if h <= 2 * margins[0] or w <= 2 * margins[0]:
+    if h <= 2 * margin + 2 or w <= 2 * margin + 2:
         return 0
 
     n = padded_length(w - 2 * margin)  # columns evaluated
@@ -330,7 +364,6 @@ def detect_pair(
     drop0 = FRACTION_BITS + shifts[0]
     drop1 = FRACTION_BITS + shifts[1]
     mask = _RING - 1
-    capacity = positions.shape[0]
     count = 0
 
     for y in range(2 * margin + 1):
@@ -346,34 +379,18 @@ def detect_pair(
         if centre <= margin:
             continue
         _flag_maxima(best, centre, above, column, flags, n)
-        for word in range(flag_words.size):
-            if flag_words[word] == 0:
+        for block in range(0, flag_words.size, 8):
+            together = np.uint64(0)
+            for word in range(8):
+                together |= flag_words[np.uint64(block + word)]
+            if together == 0:
                 continue
-            for flag in range(8 * word, 8 * word + 8):
-                if flags[flag] == 0:
+            for flag in range(8 * block, 8 * block + 64):
+                if flags[np.uint64(flag)] == 0:
                     continue
-                k = flag + 1  # column in `dense`
-                x = k + margin
-                mid = centre & 3
-                layer = 0 if dense[0, mid, k] >= dense[1, mid, k] else 1
-                if layer == 1 and single:
-                    continue
-                edge = margins[layer]
-                if centre < edge or centre >= h - edge or x < edge or x >= w - edge:
-                    continue
-                if not _first_of_ties(dense, layer, centre, k):
-                    continue
-                if count < capacity:
-                    positions[count, 0] = layer
-                    positions[count, 1] = centre
-                    positions[count, 2] = x
-                    i = 0
-                    for other in range(2):
-                        for row in range(centre - 1, centre + 2):
-                            for col in range(k - 1, k + 2):
-                                neighbours[count, i] = dense[other, row & 3, col]
-                                i += 1
-                count += 1
+                count += _store_candidate(
+                    dense, centre, flag + 1, margin, h, w, single, count, positions, neighbours
+                )
     return count
 
 

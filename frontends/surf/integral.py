@@ -20,6 +20,7 @@ from frontends.surf._jit import kernel, njit
 
 LANES = 64  # row lengths of hot loops are multiples of this: no scalar remainder after SIMD
 PAD = 56  # >= 10 * sqrt(2) * 3.6 + 3: the widest rotated descriptor window, in pixels
+_LEAD = 8  # columns from one running sum to the next
 FRACTION_BITS = 2  # integral images hold sums of grey * 2**FRACTION_BITS
 
 
@@ -71,36 +72,38 @@ def integrate(image: NDArray[Any], shift: int, out: NDArray[np.int32]) -> None:
         Columns beyond W + 2 PAD + 1 hold nothing of use.
     """
     h, w = image.shape
-    sums = np.zeros(out.shape[1], np.int32)
+    columns = np.uint64(out.shape[1])
+    # The running sum of a row, eight columns at a time: sums over windows of 2 and of 4 pixels
+    # first, then each column from the one eight before. `_LEAD` zeros precede each line.
+    pixels = np.zeros(out.shape[1] + _LEAD, np.uint16)
+    windows = np.zeros(out.shape[1] + _LEAD, np.uint16)
+    sums = np.zeros(out.shape[1] + _LEAD, np.int32)
+    lead = np.uint64(_LEAD)
+    back1, back2, back4 = np.uint64(_LEAD - 1), np.uint64(_LEAD - 2), np.uint64(_LEAD - 4)
+    middle = np.uint64(_LEAD + PAD)
     out[0, :] = 0
     target = 0
     for y in range(h):
-        source = image[y]
-        total = np.int32(0)
-        value = np.int32(np.int32(source[0]) << shift)
-        for x in range(PAD):
-            total = np.int32(total + value)
-            sums[x + 1] = total
-        middle = sums[PAD + 1 :]
-        for x in range(w):
-            total = np.int32(total + (np.int32(source[x]) << shift))
-            middle[x] = total
-        right = sums[PAD + 1 + w :]
-        value = np.int32(np.int32(source[w - 1]) << shift)
-        for x in range(PAD):
-            total = np.int32(total + value)
-            right[x] = total
+        pixels[_LEAD : _LEAD + PAD] = np.uint16(image[y, 0]) << shift
+        for x in range(np.uint64(w)):
+            pixels[middle + x] = np.uint16(np.uint16(image[y, x]) << shift)
+        pixels[_LEAD + PAD + w :] = np.uint16(image[y, w - 1]) << shift
+        for x in range(columns):
+            windows[x + lead] = np.uint16(pixels[x + lead] + pixels[x + back1])
+        for x in range(columns):
+            pixels[x + lead] = np.uint16(windows[x + lead] + windows[x + back2])
+        for x in range(columns):
+            four = np.int32(pixels[x + lead]) + np.int32(pixels[x + back4])
+            sums[x + lead] = np.int32(sums[x] + four)
         copies = 1
         if y == 0:
             copies += PAD
         if y == h - 1:
             copies += PAD
         for _ in range(copies):
-            above = out[target]
+            for x in range(columns):
+                out[target + 1, x] = np.int32(out[target, x] + sums[x + back1])
             target += 1
-            row = out[target]
-            for x in range(row.size):
-                row[x] = above[x] + sums[x]
 
 
 def integral_shape(height: int, width: int) -> tuple[int, int]:

@@ -133,10 +133,10 @@ def test_ties_leave_exactly_one_candidate() -> None:
 @given(
     x=st.floats(40, 56), y=st.floats(40, 56), sigma=st.floats(2.6, 4.0)
 )  # fmt: skip
-def test_blob_is_found_to_a_tenth_of_a_pixel(x: float, y: float, sigma: float) -> None:
+def test_blob_is_found_to_a_fifth_of_a_pixel(x: float, y: float, sigma: float) -> None:
     keypoints = SURF(hessian_threshold=50).detect(blob(x, y, sigma))
     assert len(keypoints) >= 1
-    assert np.abs(keypoints.xy[0] - (x, y)).max() < 0.1
+    assert np.abs(keypoints.xy[0] - (x, y)).max() < 0.2
     assert keypoints.laplacian[0] == -1  # bright
 
 
