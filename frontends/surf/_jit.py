@@ -91,5 +91,5 @@ def load_kernels(kernels: Iterable[tuple[Callable[..., Any], str]]) -> float:
         dispatcher.compile(signature)
         if dispatcher.stats.cache_misses and not announced:
             announced = True
-            logger.warning("compiling the SURF kernels, once on this machine (about 10 s)")
+            logger.warning("compiling the SURF kernels, once on this machine (10 to 20 s)")
     return time.perf_counter() - start

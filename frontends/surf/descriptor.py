@@ -15,6 +15,7 @@ from frontends.surf._jit import kernel, njit
 from frontends.surf.lattice import LATTICE_LANES, LINE_LENGTH, sample_lattice
 from frontends.surf.orientation import BINS_LENGTH, orientation
 
+DESCRIPTOR_SIZE = 64
 _SIGMA = 4.0  # of the weights, in s; the paper's 3.3 finds 5 % fewer correct matches
 _LINES = 22  # of the upright lattice
 _LANES = 24  # 20 responses a row, rounded up for SIMD; the weights of the last 4 are zero
@@ -65,6 +66,7 @@ def _gather_bands(
     weights: NDArray[np.float32],
     sums: NDArray[np.float32],
     out: NDArray[np.float32],
+    which: int,
 ) -> None:
     """Sum the 20 x 20 responses (2, 20, 24) into the 4 x 4 subregions of eq. 11."""
     for band in range(4):
@@ -84,7 +86,7 @@ def _gather_bands(
         for block in range(4):
             for kind in range(4):
                 j = 5 * block
-                out[16 * band + 4 * block + kind] = (
+                out[which, 16 * band + 4 * block + kind] = (
                     (sums[kind, j] + sums[kind, j + 1])
                     + (sums[kind, j + 2] + sums[kind, j + 3])
                     + sums[kind, j + 4]
@@ -92,14 +94,14 @@ def _gather_bands(
 
 
 @njit
-def _normalise(out: NDArray[np.float32]) -> None:
+def _normalise(out: NDArray[np.float32], which: int) -> None:
     total = np.float32(0)
-    for i in range(out.size):
-        total += out[i] * out[i]
+    for i in range(DESCRIPTOR_SIZE):
+        total += out[which, i] * out[which, i]
     if total > 0:
         scale = np.float32(1) / np.float32(math.sqrt(total))
-        for i in range(out.size):
-            out[i] *= scale
+        for i in range(DESCRIPTOR_SIZE):
+            out[which, i] *= scale
 
 
 @njit
@@ -116,6 +118,7 @@ def describe_upright(
     haar: NDArray[np.float32],
     sums: NDArray[np.float32],
     out: NDArray[np.float32],
+    which: int,
 ) -> None:
     """Upright descriptor (eq. 11) of one keypoint.
 
@@ -133,7 +136,9 @@ def describe_upright(
         Scratch of `sample_lattice`, the lattice (22, 32).
     haar, sums : ndarray
         Scratch: float32 (2, 20, 24), float32 (4, 24).
-    out : ndarray (64,) float32
+    out : ndarray (N, 64) float32
+    which : int
+        Row of `out` to write.
     """
     sample_lattice(integral, x, y, scale, _LINES, line, columns, fractions, lattice)
     for i in range(20):
@@ -145,8 +150,8 @@ def describe_upright(
             last = lattice[i + 2, j + 2] - 2 * lattice[i + 1, j + 2] + lattice[i, j + 2]
             haar[0, i, j] = np.float32(np.int32(right - 2 * centre + left))
             haar[1, i, j] = np.float32(np.int32(last - first))
-    _gather_bands(haar, weights, sums, out)
-    _normalise(out)
+    _gather_bands(haar, weights, sums, out, which)
+    _normalise(out, which)
 
 
 @njit
@@ -164,6 +169,7 @@ def describe_rotated(
     haar: NDArray[np.float32],
     sums: NDArray[np.float32],
     out: NDArray[np.float32],
+    which: int,
 ) -> None:
     """Descriptor (eq. 11) in a window turned by `angle`.
 
@@ -185,7 +191,9 @@ def describe_rotated(
     index, rows, pairs, patch, haar, sums : ndarray
         Scratch: uint64 (24,), float32 (2, 24), uint32 (2, 24), float32 (21, 32),
         float32 (2, 20, 24), float32 (4, 24).
-    out : ndarray (64,) float32
+    out : ndarray (N, 64) float32
+    which : int
+        Row of `out` to write.
     """
     cos = np.float32(scale * math.cos(angle))
     sin = np.float32(scale * math.sin(angle))
@@ -226,8 +234,8 @@ def describe_rotated(
             rising = patch[i + 1, j] - patch[i, j + 1]
             haar[0, i, j] = falling - rising
             haar[1, i, j] = falling + rising
-    _gather_bands(haar, weights, sums, out)
-    _normalise(out)
+    _gather_bands(haar, weights, sums, out, which)
+    _normalise(out, which)
 
 
 @kernel
@@ -299,7 +307,8 @@ def describe_level(
                 lattice,
                 haar,
                 sums,
-                out[i],
+                out,
+                i,
             )
             continue
         if assign:
@@ -331,5 +340,6 @@ def describe_level(
             patch,
             haar,
             sums,
-            out[i],
+            out,
+            i,
         )

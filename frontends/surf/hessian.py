@@ -282,6 +282,7 @@ def _store_candidate(
     count: int,
     positions: NDArray[np.int32],
     neighbours: NDArray[np.float32],
+    responses: NDArray[np.float32],
 ) -> int:
     """Check a flagged maximum at column `k` of `dense` and store it; 1 if it is one, else 0."""
     x = k + margin
@@ -297,6 +298,7 @@ def _store_candidate(
         positions[count, 0] = layer
         positions[count, 1] = centre
         positions[count, 2] = x
+        responses[count] = dense[layer, centre & 3, k]
         i = 0
         for other in range(2):
             for row in range(centre - 1, centre + 2):
@@ -315,6 +317,7 @@ def detect_pair(
     single: bool,
     positions: NDArray[np.int32],
     neighbours: NDArray[np.float32],
+    responses: NDArray[np.float32],
 ) -> int:
     """Candidates of two dense layers: maxima of their 3x3 neighbours in both.
 
@@ -337,6 +340,8 @@ def detect_pair(
         Out: layer (0 or 1), row, column of each candidate, in image pixels.
     neighbours : ndarray (C, 18) float32
         Out: its dense responses, [layer][row - 1 .. row + 1][column - 1 .. column + 1].
+    responses : ndarray (C,) float32
+        Out: its own response.
 
     Returns
     -------
@@ -389,7 +394,17 @@ def detect_pair(
                 if flags[np.uint64(flag)] == 0:
                     continue
                 count += _store_candidate(
-                    dense, centre, flag + 1, margin, h, w, single, count, positions, neighbours
+                    dense,
+                    centre,
+                    flag + 1,
+                    margin,
+                    h,
+                    w,
+                    single,
+                    count,
+                    positions,
+                    neighbours,
+                    responses,
                 )
     return count
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontends.errors import InputError
-from frontends.surf.descriptor import describe_level, window_weights
+from frontends.surf.descriptor import DESCRIPTOR_SIZE, describe_level, window_weights
 from frontends.surf.hessian import NEIGHBOURS, detect_pair, refine_all
 from frontends.surf.integral import PAD
 from frontends.surf.keypoints import Keypoints
@@ -19,7 +19,6 @@ from frontends.surf.orientation import sample_weights
 from frontends.surf.pyramid import Buffers, Pyramid
 from frontends.surf.warmup import warmup
 
-DESCRIPTOR_SIZE = 64
 _BASE_LOBE = 5  # of the lowest layer that can hold a maximum (filter 15); 9 lies below it
 _SMALLEST_SIZE = 12.0  # size at which a keypoint moves to the next level's descriptor image
 _LARGEST_SCALE = 3.6  # s in pixels of a level: what the padding has room for
@@ -272,16 +271,23 @@ class _Candidates:
             buffers = pyramid.buffers
             positions = buffers.get("positions", *name, shape=(capacity, 3), dtype=np.int32)
             neighbours = buffers.get("neighbours", *name, shape=shape, dtype=np.float32)
+            responses = buffers.get("responses", *name, shape=(capacity,), dtype=np.float32)
             count = detect_pair(
-                self._integral, width, lobe, np.float32(threshold), single, positions, neighbours
+                self._integral,
+                width,
+                lobe,
+                np.float32(threshold),
+                single,
+                positions,
+                neighbours,
+                responses,
             )
             if count <= capacity:
                 break
             capacity = count
         self._positions = positions
         self._neighbours = neighbours
-        own = 9 * positions[:count, 0] + 4  # the centre of the 3 x 3 of the candidate's layer
-        self.responses = neighbours[np.arange(count), own]
+        self.responses = responses[:count]
 
     def refined(self, least: float, above: float) -> NDArray[np.float32]:
         """Refine the candidates with least <= response < above.

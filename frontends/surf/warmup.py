@@ -16,7 +16,8 @@ _KERNELS = (
     (integrate, "void(uint16[:,::1], int64, int32[:,::1])"),
     (
         detect_pair,
-        "int64(int32[:,::1], int64, int64, float32, boolean, int32[:,::1], float32[:,::1])",
+        "int64(int32[:,::1], int64, int64, float32, boolean, int32[:,::1], float32[:,::1],"
+        " float32[::1])",
     ),
     (
         refine_all,

@@ -71,7 +71,14 @@ def _candidates(image: np.ndarray, threshold: float) -> tuple[np.ndarray, np.nda
     positions = np.empty((20000, 3), np.int32)
     neighbours = np.empty((20000, NEIGHBOURS), np.float32)
     count = detect_pair(
-        integral, image.shape[1], 5, np.float32(threshold), False, positions, neighbours
+        integral,
+        image.shape[1],
+        5,
+        np.float32(threshold),
+        False,
+        positions,
+        neighbours,
+        np.empty(20000, np.float32),
     )
     return positions[:count], neighbours[:count]
 
