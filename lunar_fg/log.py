@@ -121,7 +121,9 @@ class TraverseLog:
         """
         if not path.is_file():
             raise InputError("is missing", source=path, remedy="give the folder of a recorded run")
-        log = cls(path, sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True))
+        # Without a writer's journal the file is at rest: read it without making one.
+        alone = "" if path.with_name(f"{path.name}-wal").exists() else "&immutable=1"
+        log = cls(path, sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro{alone}", uri=True))
         try:
             (state,) = log._db.execute("PRAGMA integrity_check(1)").fetchone()
             (version,) = log._db.execute("PRAGMA user_version").fetchone()
@@ -201,9 +203,7 @@ class TraverseLog:
         """
         self._transact(entries, start_anew=True)
 
-    def _transact(
-        self, entries: Sequence[tuple[Keyframe, Estimate]], *, start_anew: bool
-    ) -> None:
+    def _transact(self, entries: Sequence[tuple[Keyframe, Estimate]], *, start_anew: bool) -> None:
         try:
             self._db.execute("BEGIN IMMEDIATE")
             try:

@@ -185,6 +185,8 @@ def _read_camera(path: Path) -> StereoCamera:
 def _read_table(path: Path, columns: int) -> FloatArray:
     if not path.is_file():
         raise InputError("is missing", source=path, remedy="give the folder of gtsam's Data files")
+    if not path.stat().st_size:
+        raise InputError(f"is empty, needs {columns} columns", source=path)
     try:
         table = np.loadtxt(path, ndmin=2)
     except ValueError as error:

@@ -19,8 +19,10 @@ from lunar_fg.graph.keyframe import Keyframe, SmoothedTrajectory
 from lunar_fg.graph.landmarks import WholeGraph, map_point
 
 # GTSAM's default, 1e-5, stops early on long traverses.
-_RELATIVE_TOLERANCE = 1e-7
+_RELATIVE_TOLERANCE = 1e-9
 _ABSOLUTE_TOLERANCE = 1e-5
+#: m, and of the rotation matrix.
+_STILL = 1e-5
 _ITERATIONS_FACTOR = 10
 
 
@@ -144,20 +146,40 @@ def _optimize(
         params.setLinearSolverType(solver)
         try:
             optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, params)
-            optimum = optimizer.optimize()
+            reason, converged = _descend(optimizer, before, most)
         except RuntimeError as error:
             reasons.append(str(error).strip().splitlines()[0])
             continue
+        optimum = optimizer.values()
         iterations, after = int(optimizer.iterations()), float(optimizer.error())
         if not np.isfinite(after):
             reasons.append("the cost is not finite")
             continue
-        converged = iterations < most
-        reason = "the cost no longer falls" if converged else f"stopped after {most} iterations"
         return optimum, ConvergenceReport(
             iterations, before, after, converged, reason, int(graph.size()), landmarks
         )
     raise EstimationError(f"the whole graph could not be solved ({'; '.join(reasons)})")
+
+
+def _descend(
+    optimizer: gtsam.LevenbergMarquardtOptimizer, cost: float, most: int
+) -> tuple[str, bool]:
+    """Iterate to rest; GTSAM's own test of the cost waits for landmarks that are outliers."""
+    poses = _poses(optimizer.values())
+    for _ in range(most):
+        optimizer.iterate()
+        new_cost, new_poses = float(optimizer.error()), _poses(optimizer.values())
+        if cost - new_cost <= _ABSOLUTE_TOLERANCE + _RELATIVE_TOLERANCE * abs(cost):
+            return "the cost no longer falls", True
+        if np.abs(new_poses - poses).max() < _STILL:
+            return f"no pose moves by more than {_STILL:g}", True
+        cost, poses = new_cost, new_poses
+    return f"stopped after {most} iterations", False
+
+
+def _poses(values: gtsam.Values) -> FloatArray:
+    poses = gtsam.utilities.allPose3s(values)
+    return np.stack([np.asarray(poses.atPose3(key).matrix()) for key in poses.keys()])  # noqa: SIM118
 
 
 def _marginals(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -190,6 +190,8 @@ class Segment:
             When the measurements do not fix all poses.
         """
         window = self._window()
+        if not len(window.pose) and len(self._motions) == len(self) - 1:
+            return replace(self.chained(), converged=True)
         solver = WindowSolver(
             self._camera, window, np.stack(self._poses), self._config.robust_threshold_sigma
         )

@@ -209,4 +209,5 @@ def _odometry(rng: np.random.Generator, motion: FloatArray) -> Odometry:
 def _tilt(rng: np.random.Generator, map_T_rover: FloatArray) -> Tilt:
     sigma = np.deg2rad(0.5)
     _, pitch, roll = yaw_pitch_roll(map_T_rover)
-    return Tilt(roll + sigma * rng.normal(), pitch + sigma * rng.normal(), float(sigma))
+    noise = sigma * rng.normal(size=2)
+    return Tilt(float(roll + noise[0]), float(pitch + noise[1]), float(sigma))
