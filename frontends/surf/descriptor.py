@@ -143,13 +143,19 @@ def describe_upright(
     sample_lattice(integral, x, y, scale, _LINES, line, columns, fractions, lattice)
     for i in range(20):
         for j in range(_LANES):
-            left = lattice[i + 2, j] - lattice[i, j]
-            centre = lattice[i + 2, j + 1] - lattice[i, j + 1]
-            right = lattice[i + 2, j + 2] - lattice[i, j + 2]
-            first = lattice[i + 2, j] - 2 * lattice[i + 1, j] + lattice[i, j]
-            last = lattice[i + 2, j + 2] - 2 * lattice[i + 1, j + 2] + lattice[i, j + 2]
-            haar[0, i, j] = np.float32(np.int32(right - 2 * centre + left))
-            haar[1, i, j] = np.float32(np.int32(last - first))
+            # quadrants of the wavelet; casts keep the arithmetic in 32-bit lanes
+            upper = np.int32(lattice[i + 1, j] - lattice[i, j])
+            lower = np.int32(lattice[i + 2, j] - lattice[i + 1, j])
+            upper_mid = np.int32(lattice[i + 1, j + 1] - lattice[i, j + 1])
+            lower_mid = np.int32(lattice[i + 2, j + 1] - lattice[i + 1, j + 1])
+            upper_end = np.int32(lattice[i + 1, j + 2] - lattice[i, j + 2])
+            lower_end = np.int32(lattice[i + 2, j + 2] - lattice[i + 1, j + 2])
+            left = np.int32(np.int32(upper_mid - upper) + np.int32(lower_mid - lower))
+            right = np.int32(np.int32(upper_end - upper_mid) + np.int32(lower_end - lower_mid))
+            top = np.int32(upper_end - upper)
+            bottom = np.int32(lower_end - lower)
+            haar[0, i, j] = np.float32(np.int32(right - left))
+            haar[1, i, j] = np.float32(np.int32(bottom - top))
     _gather_bands(haar, weights, sums, out, which)
     _normalise(out, which)
 

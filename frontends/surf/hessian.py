@@ -57,6 +57,12 @@ def _narrow(
 ) -> None:
     """Copy one row of the integral, cut to 16 bits, into both rings."""
     first = np.uint64(PAD)
+    if shift0 == 2 and shift1 == 3:
+        # the usual case with constants: a variable shift would be done in 64-bit lanes
+        for x in range(np.uint64(n)):
+            rings[0, slot, x] = np.int16(integral[row, first + x] >> 2)
+            rings[1, slot, x] = np.int16(integral[row, first + x] >> 3)
+        return
     for x in range(np.uint64(n)):
         value = integral[row, first + x]
         rings[0, slot, x] = np.int16(value >> shift0)

@@ -32,28 +32,34 @@ def padded_length(length: int) -> int:
 
 @kernel
 def halve(image: NDArray[Any], shift: int, out: NDArray[np.uint16]) -> None:
-    """Means of 2x2 blocks, rounded: ``out = (sum + half) >> shift``.
+    """Means of 2x2 blocks in grey*4, rounded.
 
     Parameters
     ----------
     image : ndarray (H, W) uint8 or uint16
     shift : int
-        0 makes grey*4 from uint8 grey, 2 keeps the unit.
+        0 makes grey*4 from uint8 grey (the sum of four), 2 keeps the unit (their mean).
     out : ndarray (H // 2, W // 2) uint16
     """
-    half = (1 << shift) >> 1
+    one = np.uint64(1)
+    two = np.uint64(2)
     for y in range(out.shape[0]):
-        a = image[2 * y]
-        b = image[2 * y + 1]
-        row = out[y]
-        for x in range(row.size):
-            row[x] = (
-                np.int32(a[2 * x])
-                + np.int32(a[2 * x + 1])
-                + np.int32(b[2 * x])
-                + np.int32(b[2 * x + 1])
-                + half
-            ) >> shift
+        top = 2 * y
+        # constant shifts: a variable one would be done in 64-bit lanes
+        if shift == 0:
+            for x in range(np.uint64(out.shape[1])):
+                left = np.int32(image[top, two * x]) + np.int32(image[top + 1, two * x])
+                right = np.int32(image[top, two * x + one]) + np.int32(
+                    image[top + 1, two * x + one]
+                )
+                out[y, x] = np.uint16(left + right)
+        else:
+            for x in range(np.uint64(out.shape[1])):
+                left = np.int32(image[top, two * x]) + np.int32(image[top + 1, two * x])
+                right = np.int32(image[top, two * x + one]) + np.int32(
+                    image[top + 1, two * x + one]
+                )
+                out[y, x] = np.uint16(np.int32(left + right + 2) >> 2)
 
 
 @kernel
@@ -79,15 +85,16 @@ def integrate(image: NDArray[Any], shift: int, out: NDArray[np.int32]) -> None:
     windows = np.zeros(out.shape[1] + _LEAD, np.uint16)
     sums = np.zeros(out.shape[1] + _LEAD, np.int32)
     lead = np.uint64(_LEAD)
+    factor = np.uint16(1 << shift)
     back1, back2, back4 = np.uint64(_LEAD - 1), np.uint64(_LEAD - 2), np.uint64(_LEAD - 4)
     middle = np.uint64(_LEAD + PAD)
     out[0, :] = 0
     target = 0
     for y in range(h):
-        pixels[_LEAD : _LEAD + PAD] = np.uint16(image[y, 0]) << shift
+        pixels[_LEAD : _LEAD + PAD] = np.uint16(image[y, 0]) * factor
         for x in range(np.uint64(w)):
-            pixels[middle + x] = np.uint16(np.uint16(image[y, x]) << shift)
-        pixels[_LEAD + PAD + w :] = np.uint16(image[y, w - 1]) << shift
+            pixels[middle + x] = np.uint16(np.uint16(image[y, x]) * factor)
+        pixels[_LEAD + PAD + w :] = np.uint16(image[y, w - 1]) * factor
         for x in range(columns):
             windows[x + lead] = np.uint16(pixels[x + lead] + pixels[x + back1])
         for x in range(columns):

@@ -50,13 +50,19 @@ def _responses(
     """Weighted Haar responses of side 4s and the bins of their directions."""
     for i in range(13):
         for j in range(_LANES):
-            left = lattice[i + 4, j] - lattice[i, j]
-            centre = lattice[i + 4, j + 2] - lattice[i, j + 2]
-            right = lattice[i + 4, j + 4] - lattice[i, j + 4]
-            first = lattice[i + 4, j] - 2 * lattice[i + 2, j] + lattice[i, j]
-            last = lattice[i + 4, j + 4] - 2 * lattice[i + 2, j + 4] + lattice[i, j + 4]
-            haar[0, i, j] = weights[i, j] * np.float32(np.int32(right - 2 * centre + left))
-            haar[1, i, j] = weights[i, j] * np.float32(np.int32(last - first))
+            # quadrants of the wavelet; casts keep the arithmetic in 32-bit lanes
+            upper = np.int32(lattice[i + 2, j] - lattice[i, j])
+            lower = np.int32(lattice[i + 4, j] - lattice[i + 2, j])
+            upper_mid = np.int32(lattice[i + 2, j + 2] - lattice[i, j + 2])
+            lower_mid = np.int32(lattice[i + 4, j + 2] - lattice[i + 2, j + 2])
+            upper_end = np.int32(lattice[i + 2, j + 4] - lattice[i, j + 4])
+            lower_end = np.int32(lattice[i + 4, j + 4] - lattice[i + 2, j + 4])
+            left = np.int32(np.int32(upper_mid - upper) + np.int32(lower_mid - lower))
+            right = np.int32(np.int32(upper_end - upper_mid) + np.int32(lower_end - lower_mid))
+            top = np.int32(upper_end - upper)
+            bottom = np.int32(lower_end - lower)
+            haar[0, i, j] = weights[i, j] * np.float32(np.int32(right - left))
+            haar[1, i, j] = weights[i, j] * np.float32(np.int32(bottom - top))
     for i in range(13):
         for j in range(_LANES):
             dx = haar[0, i, j]
