@@ -1,0 +1,273 @@
+"""The motion between two frames from noisy landmarks, right ones and wrong ones."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from frontends.geometry import inverse, se3_exp, se3_log, transform_points
+from frontends.rectification import observe
+from frontends.relative import (
+    MotionPrediction,
+    RelativeConfig,
+    RelativePositioning,
+    predicted_points,
+    rigid_transform,
+)
+from frontends.reprojection import TwoViewProblem
+from frontends.tracking import common_landmarks
+from synthetic import CAMERA, PointCloud
+
+A_T_B = se3_exp([0.01, -0.03, 0.005, 0.02, 0.01, 0.25])
+NOTHING_KNOWN = MotionPrediction(np.eye(4), np.diag([0.05**2] * 3 + [0.3**2] * 3))
+
+
+def two_views(seed, wrong_share=0.0, a_T_b=A_T_B, **cloud):
+    """Observations of common landmarks in a and b; `wrong` marks wrong partners in b."""
+    rng = np.random.default_rng((5, seed))
+    points = PointCloud.ahead(seed, **cloud)
+    a, b = common_landmarks(points.observe(np.eye(4), rng), points.observe(a_T_b, rng))
+    wrong = np.arange(len(b)) < round(wrong_share * len(b))
+    other = np.arange(len(b))
+    other[wrong] = np.roll(other[wrong], 1)
+    b = replace(b.select(other), landmark_id=b.landmark_id)
+    return a, b, wrong
+
+
+def estimate(a, b, seed=0, config=None, prediction=NOTHING_KNOWN):
+    positioning = RelativePositioning(CAMERA, config, seed)
+    return positioning.estimate(a.points_cam, a.points_covariance, b, prediction)
+
+
+def nees(found, truth=A_T_B):
+    error = se3_log(inverse(found.a_T_b) @ truth)
+    return error @ np.linalg.solve(found.covariance, error) / 6.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_rigid_transform_is_exact(seed):
+    rng = np.random.default_rng(seed)
+    b_T_a = se3_exp(rng.normal(size=6) * 2.0)
+    for count in (3, 4, 50):
+        points = rng.normal(size=(count, 3)) * 5.0
+        np.testing.assert_allclose(
+            rigid_transform(points, transform_points(b_T_a, points)), b_T_a, atol=1e-9
+        )
+
+
+def test_rigid_transform_never_mirrors():
+    rng = np.random.default_rng(0)
+    flat = rng.normal(size=(20, 3)) * [1.0, 1.0, 0.0]
+    for points_b in (flat * [1.0, -1.0, 1.0], rng.normal(size=(20, 3))):
+        assert np.linalg.det(rigid_transform(flat, points_b)[:3, :3]) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("wrong_share", [0.0, 0.3, 0.6])
+@pytest.mark.parametrize("seed", range(6))
+def test_the_motion_is_found_among_wrong_correspondences(seed, wrong_share):
+    a, b, wrong = two_views(seed, wrong_share)
+    found = estimate(a, b, seed)
+    assert found.accepted, found.reason
+    error = se3_log(inverse(found.a_T_b) @ A_T_B)
+    assert np.linalg.norm(error[:3]) < 0.004
+    assert np.linalg.norm(error[3:]) < 0.012
+    inlier = np.isin(b.landmark_id, found.inlier_ids)
+    assert inlier[~wrong].mean() > 0.95
+    assert inlier[wrong].sum() <= 0.1 * wrong.sum()
+    assert found.correspondences == len(b)
+
+
+def mean_nees(seeds, **kwargs):
+    return np.mean([nees(estimate(*two_views(seed, **kwargs)[:2], seed)) for seed in seeds])
+
+
+@pytest.mark.xfail(strict=True, reason="NEES 0.84 and 0.77: too cautious by a sixth to a third")
+@pytest.mark.parametrize("wrong_share", [0.0, 0.3])
+def test_the_covariance_is_honest(wrong_share):
+    runs = 150
+    low, high = chi2.ppf([0.025, 0.975], 6 * runs) / (6 * runs)
+    assert low < mean_nees(range(100, 100 + runs), wrong_share=wrong_share) < high
+
+
+def test_the_covariance_is_never_far_off():
+    """Whatever its shape: mean NEES within a factor 1.7 both ways."""
+    assert 0.6 < mean_nees(range(100, 160)) < 1.7
+    assert 0.6 < mean_nees(range(100, 160), count=60) < 1.7
+    assert 0.6 < mean_nees(range(100, 160), nearest_m=3.0, farthest_m=30.0) < 1.7
+
+
+@pytest.mark.xfail(strict=True, reason="NEES 3.0: the gate cuts the residuals it is judged by")
+def test_larger_noise_than_stated_inflates_the_covariance():
+    squared = []
+    for seed in range(60):
+        a, b, _ = two_views(seed, sigma_px=0.6, sigma_disparity_px=0.24)
+        half = [
+            observe(CAMERA, o.landmark_id, o.u_left, o.v, o.disparity_px, o.sigma_px / 2.0,
+                    o.sigma_disparity_px / 2.0)
+            for o in (a, b)
+        ]  # fmt: skip
+        found = estimate(*half, seed)
+        assert found.accepted
+        squared.append(nees(found))
+    assert np.mean(squared) < 2.0  # 4 without
+
+
+def test_refine_takes_correspondences_as_they_are():
+    a, b, _ = two_views(3)
+    positioning = RelativePositioning(CAMERA)
+    found = positioning.refine(a.points_cam, a.points_covariance, b, NOTHING_KNOWN)
+    assert found.accepted
+    assert nees(found) < 4.0
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_refine_holds_with_landmarks_at_the_end_of_the_useful_range(seed):
+    """A quarter of the depth as sigma is within the range that perception lets pass."""
+    a, b, _ = two_views(seed, nearest_m=1.5, farthest_m=40.0, sigma_disparity_px=0.15)
+    positioning = RelativePositioning(CAMERA)
+    found = positioning.refine(a.points_cam, a.points_covariance, b, NOTHING_KNOWN)
+    assert found.accepted, found.reason
+    assert nees(found) < 5.0
+
+
+def assert_refused(found, prediction=NOTHING_KNOWN):
+    assert not found.accepted
+    assert found.reason
+    assert len(found.inlier_ids) == 0
+    np.testing.assert_array_equal(found.a_T_b, prediction.a_T_b)
+    np.testing.assert_array_equal(found.covariance, prediction.covariance)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 11])
+def test_too_few_correspondences_are_refused(count):
+    a, b, _ = two_views(0)
+    found = estimate(a.select(np.arange(count)), b.select(np.arange(count)))
+    assert_refused(found)
+    assert f"{count} tracked landmarks" in found.reason
+    assert found.correspondences == count
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_no_consensus_is_refused(seed):
+    a, b, _ = two_views(seed, wrong_share=1.0, count=120)
+    found = estimate(a, b, seed)
+    assert_refused(found)
+    assert "agree on one motion" in found.reason
+
+
+@pytest.mark.parametrize("kind", ["one point", "a line", "two points"])
+def test_points_that_do_not_fix_the_motion_are_refused(kind):
+    n = 40
+    u, v, disparity = np.full(n, 200.0), np.full(n, 100.0), np.full(n, 10.0)
+    if kind == "a line":  # straight towards the camera's right: all on one row, one depth
+        u = np.linspace(60.0, 280.0, n)
+    elif kind == "two points":
+        u = np.where(np.arange(n) % 2, 100.0, 250.0)
+    sigma = np.full(n, 0.2)
+    a = observe(CAMERA, np.arange(n), u, v, disparity, sigma, sigma)
+    found = estimate(a, a)
+    assert_refused(found)
+    assert "six" in found.reason
+
+
+def test_standing_still_is_a_motion():
+    a, b, _ = two_views(0, a_T_b=np.eye(4))
+    found = estimate(a, b)
+    assert found.accepted
+    assert np.abs(se3_log(found.a_T_b)).max() < 0.01
+
+
+def test_a_wrong_prediction_does_not_matter():
+    a, b, _ = two_views(2, 0.3)
+    far = MotionPrediction(se3_exp([0.5, 1.0, -2.0, 3.0, 2.0, -9.0]), np.eye(6))
+    error = se3_log(inverse(estimate(a, b).a_T_b) @ estimate(a, b, prediction=far).a_T_b)
+    assert np.abs(error).max() < 1e-3
+
+
+def test_the_seed_decides_and_nothing_that_ran_before():
+    a, b, _ = two_views(7, 0.6)
+    fresh = estimate(a, b, seed=3)
+    used = RelativePositioning(CAMERA, seed=3)
+    used.estimate(*_inputs(*two_views(8, 0.5)[:2]))
+    again = used.estimate(*_inputs(a, b))
+    assert fresh.a_T_b.tobytes() == again.a_T_b.tobytes()
+    assert fresh.covariance.tobytes() == again.covariance.tobytes()
+    other = estimate(a, b, seed=4)
+    assert np.abs(se3_log(inverse(fresh.a_T_b) @ other.a_T_b)).max() < 0.01
+
+
+def _inputs(a, b):
+    return a.points_cam, a.points_covariance, b, NOTHING_KNOWN
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_nothing_finite_makes_it_raise(seed):
+    """Points behind the camera, huge, tiny, repeated; sigmas over five decades."""
+    rng = np.random.default_rng((31, seed))
+    n = int(rng.integers(0, 60))
+    scale = 10.0 ** rng.uniform(-3, 4)
+    points = scale * rng.standard_normal((n, 3))
+    root = scale * 10.0 ** rng.uniform(-4, 0) * rng.standard_normal((n, 3, 3))
+    disparity = 10.0 ** rng.uniform(-2, 2, n)
+    b = observe(
+        CAMERA,
+        np.arange(n),
+        rng.uniform(0, 320, n),
+        rng.uniform(0, 240, n),
+        disparity,
+        10.0 ** rng.uniform(-3, 2, n),
+        10.0 ** rng.uniform(-3, 2, n),
+    )
+    prediction = MotionPrediction(se3_exp(rng.normal(size=6)), np.eye(6))
+    found = RelativePositioning(CAMERA, seed=seed).estimate(
+        points, root @ np.swapaxes(root, 1, 2), b, prediction
+    )
+    assert np.isfinite(found.a_T_b).all()
+    assert np.linalg.eigvalsh(found.covariance).min() > 0.0
+    assert found.accepted or found.reason
+
+
+def test_normal_equations_are_the_derivative_of_the_residual():
+    """Gradient against finite differences of the whitened cost, kernel all but off."""
+    a, b, _ = two_views(1, count=40)
+    problem = TwoViewProblem.of_landmarks(CAMERA, a.points_cam, 0 * a.points_covariance, b)
+    b_T_a = inverse(A_T_B) @ se3_exp([2e-3, -1e-3, 1e-3, 0.01, -0.01, 0.02])
+    information, gradient, _ = problem.linearise(b_T_a, 1e6)
+    step = 1e-6
+
+    def cost(xi):
+        return 0.5 * problem.linearise(b_T_a @ se3_exp(xi), 1e6)[2].sum()
+
+    numeric = [(cost(step * e) - cost(-step * e)) / (2 * step) for e in np.eye(6)]
+    np.testing.assert_allclose(gradient, -np.array(numeric), rtol=1e-4)
+    np.testing.assert_allclose(information, information.T)
+    assert np.linalg.eigvalsh(information)[0] > 0.0
+
+
+def test_a_point_behind_the_camera_has_no_say():
+    a, b, _ = two_views(1, count=40)
+    problem = TwoViewProblem.of_landmarks(CAMERA, a.points_cam, a.points_covariance, b)
+    information, gradient, _ = problem.linearise(inverse(A_T_B), 2.0)
+    turned = a.points_cam.copy()
+    turned[0, 2] = -1.0
+    other = TwoViewProblem.of_landmarks(CAMERA, turned, a.points_covariance, b)
+    information_2, gradient_2, chi2_2 = other.linearise(inverse(A_T_B), 2.0)
+    assert chi2_2[0] == np.inf
+    rest = problem.select(np.arange(len(b)) > 0).linearise(inverse(A_T_B), 2.0)
+    np.testing.assert_allclose(information_2, rest[0])
+    np.testing.assert_allclose(gradient_2, rest[1])
+    assert not np.allclose(information, information_2)
+    assert not np.allclose(gradient, gradient_2)
+
+
+def test_predicted_points_carries_from_a_to_b():
+    points = np.array([[0.0, 0.0, 5.0]])
+    ahead = MotionPrediction(se3_exp([0, 0, 0, 0, 0, 1.0]), np.eye(6))
+    np.testing.assert_allclose(predicted_points(ahead, points), [[0.0, 0.0, 4.0]])
+
+
+def test_more_inliers_asked_for_than_there_are_is_a_reason():
+    a, b, _ = two_views(0, count=60)
+    found = estimate(a, b, config=RelativeConfig(min_inliers=1000))
+    assert_refused(found)
