@@ -48,6 +48,8 @@ class Row:
 
 @dataclass(frozen=True)
 class Data:
+    """A run to measure."""
+
     name: str
     camera: StereoCamera
     rover_T_camera: FloatArray
@@ -131,7 +133,7 @@ def main() -> None:
     real = Data("KITTI-00s", kitti.camera, kitti.rover_T_camera, kitti.start, kitti.keyframes, None)
     rows = [*measure(simulated), *measure(real)]
     print(
-        "data       way       frames  ms mean median   p95    max  finish  gap m   deg    ATE m  NEES"
+        "data       way       frames  ms mean median   p95   max finish  gap m   deg   ATE m  NEES"
     )
     for r in rows:
         accuracy = "" if r.ate_m is None else f"  {r.ate_m:.3f}  {r.nees_last:.2f}"

@@ -13,16 +13,12 @@ from frontends.errors import EstimationError, InputError
 from frontends.measurements import FloatArray, StartPrior
 from lunar_fg.graph.checks import check_pose
 from lunar_fg.graph.config import GraphConfig
+from lunar_fg.graph.descent import descend
 from lunar_fg.graph.factors import pose_key
 from lunar_fg.graph.incremental import IncrementalSmoother
 from lunar_fg.graph.keyframe import Keyframe, SmoothedTrajectory
 from lunar_fg.graph.landmarks import WholeGraph, map_point
 
-# GTSAM's default, 1e-5, stops early on long traverses.
-_RELATIVE_TOLERANCE = 1e-9
-_ABSOLUTE_TOLERANCE = 1e-5
-#: m, and of the rotation matrix.
-_STILL = 1e-5
 _ITERATIONS_FACTOR = 10
 
 
@@ -111,8 +107,17 @@ def optimize_batch(
         for key, seen_from, point in new.landmarks:
             values.insert(key, map_point(initial.map_T_rover[seen_from], rover_T_camera, point))
         landmarks += len(new.landmarks)
-    optimum, report = _optimize(graph, values, landmarks, config)
-    poses, covariances = _marginals(graph, optimum, len(keyframes))
+    end = descend(graph, values, _ITERATIONS_FACTOR * config.max_iterations)
+    report = ConvergenceReport(
+        end.iterations,
+        end.cost_before,
+        end.cost_after,
+        end.converged,
+        end.reason,
+        int(graph.size()),
+        landmarks,
+    )
+    poses, covariances = _marginals(graph, end.values, len(keyframes))
     trajectory = SmoothedTrajectory(initial.index, initial.stamp_s, poses, covariances)
     return BatchResult(trajectory, report)
 
@@ -130,56 +135,6 @@ def _incremental(
         smoother.add(keyframe)
     smoother.finish()
     return smoother.trajectory()
-
-
-def _optimize(
-    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, landmarks: int, config: GraphConfig
-) -> tuple[gtsam.Values, ConvergenceReport]:
-    most = _ITERATIONS_FACTOR * config.max_iterations
-    before = float(graph.error(values))
-    reasons = []
-    for solver in ("MULTIFRONTAL_CHOLESKY", "MULTIFRONTAL_QR"):
-        params = gtsam.LevenbergMarquardtParams()
-        params.setMaxIterations(most)
-        params.setRelativeErrorTol(_RELATIVE_TOLERANCE)
-        params.setAbsoluteErrorTol(_ABSOLUTE_TOLERANCE)
-        params.setLinearSolverType(solver)
-        try:
-            optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, params)
-            reason, converged = _descend(optimizer, before, most)
-        except RuntimeError as error:
-            reasons.append(str(error).strip().splitlines()[0])
-            continue
-        optimum = optimizer.values()
-        iterations, after = int(optimizer.iterations()), float(optimizer.error())
-        if not np.isfinite(after):
-            reasons.append("the cost is not finite")
-            continue
-        return optimum, ConvergenceReport(
-            iterations, before, after, converged, reason, int(graph.size()), landmarks
-        )
-    raise EstimationError(f"the whole graph could not be solved ({'; '.join(reasons)})")
-
-
-def _descend(
-    optimizer: gtsam.LevenbergMarquardtOptimizer, cost: float, most: int
-) -> tuple[str, bool]:
-    """Iterate to rest; GTSAM's own test of the cost waits for landmarks that are outliers."""
-    poses = _poses(optimizer.values())
-    for _ in range(most):
-        optimizer.iterate()
-        new_cost, new_poses = float(optimizer.error()), _poses(optimizer.values())
-        if cost - new_cost <= _ABSOLUTE_TOLERANCE + _RELATIVE_TOLERANCE * abs(cost):
-            return "the cost no longer falls", True
-        if np.abs(new_poses - poses).max() < _STILL:
-            return f"no pose moves by more than {_STILL:g}", True
-        cost, poses = new_cost, new_poses
-    return f"stopped after {most} iterations", False
-
-
-def _poses(values: gtsam.Values) -> FloatArray:
-    poses = gtsam.utilities.allPose3s(values)
-    return np.stack([np.asarray(poses.atPose3(key).matrix()) for key in poses.keys()])  # noqa: SIM118
 
 
 def _marginals(

@@ -10,11 +10,10 @@ import numpy as np
 
 from frontends.errors import EstimationError
 from frontends.measurements import FloatArray
+from lunar_fg.graph.descent import descend
 
 _RELINEARIZE_SKIP = 10
-#: Rest: no pose moves by more, m or rad.
-_SETTLED = 1e-5
-_MOST_SETTLING_STEPS = 25
+_MOST_SETTLING_STEPS = 100
 # What pybind11 turns GTSAM's C++ exceptions into.
 _GTSAM_ERRORS = (RuntimeError, ValueError, IndexError, KeyError)
 
@@ -43,7 +42,7 @@ class GuardedIsam:
         self._threshold = relinearize_threshold
         self._factors = gtsam.NonlinearFactorGraph()
         self._initial = gtsam.Values()
-        self._isam = self._fresh(relinearize_threshold)
+        self._isam = self._fresh()
         self._warnings: tuple[str, ...] = ()
 
     @property
@@ -51,18 +50,28 @@ class GuardedIsam:
         """What the user should know about the solver."""
         return self._warnings
 
-    def _fresh(self, threshold: float, skip: int = _RELINEARIZE_SKIP) -> gtsam.ISAM2:
+    def _fresh(self) -> gtsam.ISAM2:
         params = gtsam.ISAM2Params()
-        params.relinearizeSkip = skip
+        params.relinearizeSkip = _RELINEARIZE_SKIP
         params.enablePartialRelinearizationCheck = True
-        params.setRelinearizeThreshold(threshold)
+        params.setRelinearizeThreshold(self._threshold)
         params.setFactorization("QR" if self._qr else "CHOLESKY")
         return gtsam.ISAM2(params)
 
     def _rebuild(self, values: gtsam.Values) -> None:
-        self._isam = self._fresh(self._threshold)
-        if self._factors.size():
-            self._isam.update(self._factors, values)
+        isam = self._fresh()
+        try:
+            if self._factors.size():
+                isam.update(self._factors, values)
+        except _GTSAM_ERRORS as error:
+            if self._qr:
+                raise EstimationError(
+                    f"the graph cannot be solved ({_first_line(error)})"
+                ) from error
+            self._qr, self._warnings = True, (QR_WARNING,)
+            self._rebuild(values)
+            return
+        self._isam = isam
 
     def update(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, frame: int) -> None:
         """Add checked factors and the initial values of their new variables.
@@ -103,7 +112,7 @@ class GuardedIsam:
             )
             whole.push_back(factors)
             all_values.insert(values)
-            isam = self._fresh(self._threshold)
+            isam = self._fresh()
             try:
                 isam.update(whole, all_values)
             except _GTSAM_ERRORS:
@@ -149,14 +158,8 @@ class GuardedIsam:
         self._rebuild(self._isam.calculateEstimate())
         return self._marginal(query)
 
-    @staticmethod
-    def _largest_pose_step(isam: gtsam.ISAM2) -> float:
-        delta = isam.getDelta()
-        keys = _pose_keys(isam.getLinearizationPoint())
-        return max(float(np.abs(delta.at(key)).max()) for key in keys)
-
     def settle(self) -> None:
-        """Relinearise everything until nothing moves: what batch Gauss-Newton would reach.
+        """Relinearise everything until no pose moves: where the batch optimiser would end.
 
         Raises
         ------
@@ -165,24 +168,8 @@ class GuardedIsam:
         """
         if not self._factors.size():
             return
-        before = self._isam
-        estimate = before.calculateEstimate()
-        isam = self._fresh(0.0, skip=1)
-        try:
-            isam.update(self._factors, estimate)
-            for _ in range(_MOST_SETTLING_STEPS):
-                isam.update()
-                if self._largest_pose_step(isam) < _SETTLED:
-                    break
-        except _GTSAM_ERRORS as error:
-            if self._qr:
-                raise EstimationError(
-                    f"the last smoothing failed ({_first_line(error)})"
-                ) from error
-            self._qr, self._warnings = True, (QR_WARNING,)
-            self.settle()
-            return
-        self._initial = isam.calculateEstimate()
+        estimate = self._isam.calculateEstimate()
+        self._initial = descend(self._factors, estimate, _MOST_SETTLING_STEPS).values
         self._rebuild(self._initial)
 
 
