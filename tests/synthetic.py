@@ -137,25 +137,29 @@ class Scene:
             here = (nearest == k) & np.isfinite(depth)
             if not here.any():
                 continue
+            rows, columns = np.flatnonzero(here.any(axis=1)), np.flatnonzero(here.any(axis=0))
+            box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+            here, z = here[box], np.where(here[box], depth[box], 1.0)
+            a, b = np.where(here, a[box], 0.0), np.where(here, b[box], 0.0)
             # metres on the plane that one pixel spans where it spans most
             normal = np.cross(plane.axis_a, plane.axis_b)
             to_plane = abs((np.array(plane.centre) - map_T_camera[:3, 3]) @ normal)
-            footprint = np.where(here, depth, 1.0) ** 2 / (camera.fx * max(to_plane, 1e-3))
-            footprint = np.maximum(footprint, np.where(here, depth, 1.0) / camera.fx)
-            texture = np.zeros(u.shape)
+            footprint = np.maximum(z**2 / max(to_plane, 1e-3), z) / camera.fx
+            finest = float(footprint[here].min())
+            texture = np.zeros(here.shape, np.float32)
             for tile, wavelength in zip(_TILES, _WAVELENGTHS_M, strict=True):
-                weight = np.clip(wavelength / (4.0 * footprint) - 0.5, 0.0, 1.0)
-                if not (weight[here] > 0.0).any():
+                if wavelength <= 2.0 * finest:
                     continue
+                weight = np.clip(wavelength / (4.0 * footprint) - 0.5, 0.0, 1.0)
                 px = _TILE / (_WAVES * wavelength)
                 shift = 137.0 * k
-                texture += weight * cv2.remap(
+                texture += weight.astype(np.float32) * cv2.remap(
                     tile,
-                    np.mod(np.where(here, a, 0.0) * px + shift, _TILE).astype(np.float32),
-                    np.mod(np.where(here, b, 0.0) * px + shift, _TILE).astype(np.float32),
+                    np.mod(a * px + shift, _TILE).astype(np.float32),
+                    np.mod(b * px + shift, _TILE).astype(np.float32),
                     cv2.INTER_LINEAR,
                 )
-            image[here] = 110.0 + 12.0 * (k % 3) + self._grey * texture[here]
+            image[box][here] = 110.0 + 12.0 * (k % 3) + self._grey * texture[here]
         image += self.noise * rng.standard_normal(image.shape)
         return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 

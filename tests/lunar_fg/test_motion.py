@@ -1,0 +1,167 @@
+"""Predicted motions: wheels, attitude, constant velocity."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from frontends.camera import level_rover_T_camera
+from frontends.geometry import inverse, pose, se3_exp, se3_log, yaw_pitch_roll
+from frontends.measurements import (
+    Attitude,
+    RelativePose,
+    UnusableFrame,
+    Verdict,
+    WheelOdometry,
+)
+from lunar_fg.motion import MotionConfig, MotionModel, tilt_of
+from synthetic import rover_T_camera
+
+MOUNT = rover_T_camera(1.1, 0.4)
+
+
+def frame(index=0, wheels=None, attitude=None):
+    return UnusableFrame(
+        index,
+        float(index),
+        "no images in this test",
+        None if wheels is None else WheelOdometry(*wheels),
+        attitude,
+    )
+
+
+def attitude(roll=0.0, pitch=0.0, yaw=0.0, sigma=0.005):
+    return Attitude(roll, pitch, yaw, sigma, 0.05)
+
+
+def measured(a_T_b, verdict=Verdict.ACCEPTED):
+    return RelativePose(a_T_b, 1e-6 * np.eye(6), np.zeros(0, int), 20, verdict)
+
+
+def test_without_wheels_the_last_motion_goes_on():
+    model = MotionModel(MOUNT)
+    assert not model.known
+    np.testing.assert_array_equal(model.predict(None).a_T_b, np.eye(4))
+    last = se3_exp([0.01, 0.02, -0.01, 0.1, 0.0, 0.5])
+    model.update(frame(), measured(last))
+    assert model.known
+    prediction = model.predict(None)
+    np.testing.assert_array_equal(prediction.a_T_b, last)
+    slow = MotionModel(MOUNT)
+    slow.update(frame(), measured(se3_exp([0, 0, 0, 0, 0, 0.01])))
+    assert (
+        np.diag(prediction.covariance)[3:] > np.diag(slow.predict(None).covariance)[3:]
+    ).all()
+    model.update(frame(), measured(last, Verdict.REFUSED))
+    assert not model.known
+
+
+@pytest.mark.parametrize(
+    ("wheels", "expected"),
+    [
+        ((0.5, 0.0, 0.0), (0.5, 0.0, 0.0)),
+        ((0.0, 0.2, 0.0), (0.0, 0.2, 0.0)),
+        ((0.0, 0.0, 0.3), (0.0, 0.0, 0.3)),
+        ((1.0, 0.0, 0.2), (np.cos(0.1), np.sin(0.1), 0.2)),
+        ((-0.4, 0.0, -0.1), (-0.4 * np.cos(0.05), 0.4 * np.sin(0.05), -0.1)),
+    ],
+)
+def test_wheels_alone_drive_a_chord_on_level_ground(wheels, expected):
+    motion = MotionModel(MOUNT).odometry(frame(1, wheels))
+    x, y, yaw = expected
+    np.testing.assert_allclose(motion.a_T_b[:3, 3], [x, y, 0.0], atol=1e-12)
+    np.testing.assert_allclose(yaw_pitch_roll(motion.a_T_b), [yaw, 0.0, 0.0], atol=1e-12)
+
+
+def test_attitude_gives_the_change_of_tilt_and_the_wheels_the_turn():
+    model = MotionModel(MOUNT)
+    before, now = attitude(0.1, -0.2, 0.7), attitude(-0.05, 0.15, 2.9)  # its yaw drifts
+    model.update(frame(0, attitude=before), measured(np.eye(4)))
+    motion = model.odometry(frame(1, (0.3, 0.0, 0.25), now))
+    start = Rotation.from_euler("ZYX", [0.7, -0.2, 0.1]).as_matrix()
+    end = start @ motion.a_T_b[:3, :3]
+    yaw, pitch, roll = yaw_pitch_roll(pose(end, np.zeros(3)))
+    assert (yaw, pitch, roll) == pytest.approx((0.95, 0.15, -0.05), abs=1e-9)
+    assert np.diag(motion.covariance)[0] == pytest.approx(2 * 0.005**2)
+
+
+def test_the_covariance_grows_with_distance_and_turn():
+    model = MotionModel(MOUNT)
+    sigma = [
+        np.sqrt(np.diag(model.odometry(frame(1, wheels)).covariance))
+        for wheels in ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 0.0, 0.5))
+    ]
+    assert (sigma[0] > 0.0).all()
+    assert sigma[1][3] == pytest.approx(np.hypot(0.005, 0.1))
+    assert sigma[1][0] > sigma[0][0]
+    assert sigma[2][2] > sigma[1][2]
+
+
+def test_the_prediction_is_the_odometry_seen_by_the_camera():
+    model = MotionModel(MOUNT)
+    odometry = model.odometry(frame(1, (0.4, 0.02, 0.1)))
+    prediction = model.predict(odometry)
+    np.testing.assert_allclose(
+        MOUNT @ prediction.a_T_b @ inverse(MOUNT), odometry.a_T_b, atol=1e-12
+    )
+    rng = np.random.default_rng(0)
+    root = np.linalg.cholesky(odometry.covariance)
+    samples = [
+        se3_log(
+            inverse(prediction.a_T_b)
+            @ inverse(MOUNT)
+            @ odometry.a_T_b
+            @ se3_exp(root @ rng.standard_normal(6))
+            @ MOUNT
+        )
+        for _ in range(5000)
+    ]
+    found = np.cov(np.array(samples).T)
+    scale = np.sqrt(np.outer(np.diag(found), np.diag(found)))
+    np.testing.assert_allclose(prediction.covariance / scale, found / scale, atol=0.06)
+
+
+def test_a_level_camera_sees_a_forward_drive_along_its_axis():
+    model = MotionModel(level_rover_T_camera())
+    prediction = model.predict(model.odometry(frame(1, (0.5, 0.0, 0.0))))
+    np.testing.assert_allclose(prediction.a_T_b[:3, 3], [0.0, 0.0, 0.5], atol=1e-12)
+    # a left turn brings the camera's axis to its left: -x
+    turned = model.predict(model.odometry(frame(1, (0.0, 0.0, 0.2))))
+    assert (turned.a_T_b[:3, :3] @ [0, 0, 1])[0] < 0.0
+
+
+def test_tilt_is_taken_where_there_is_an_attitude():
+    assert tilt_of(frame()) is None
+    tilt = tilt_of(frame(attitude=attitude(0.1, -0.2, 0.3, 0.02)))
+    assert (tilt.roll_rad, tilt.pitch_rad, tilt.sigma_rad) == (0.1, -0.2, 0.02)
+
+
+@pytest.mark.xfail(strict=True, reason="the tilt change since an older frame, at full trust")
+def test_an_attitude_of_an_older_frame_is_not_that_of_the_frame_before():
+    model = MotionModel(MOUNT)
+    model.update(frame(0, attitude=attitude(pitch=0.0)), measured(np.eye(4)))
+    model.update(frame(1), measured(np.eye(4)))  # no attitude here
+    motion = model.odometry(frame(2, (0.2, 0.0, 0.0), attitude(pitch=0.2)))
+    fresh = MotionModel(MOUNT).odometry(frame(2, (0.2, 0.0, 0.0), attitude(pitch=0.2)))
+    np.testing.assert_allclose(motion.covariance, fresh.covariance)
+
+
+def test_no_wheels_no_odometry():
+    assert MotionModel(MOUNT).odometry(frame(attitude=attitude())) is None
+
+
+@pytest.mark.xfail(strict=True, reason="settings are checked for their type only")
+@pytest.mark.parametrize("bad", [{"slip": -1.0}, {"steady_sigma_m": float("nan")}])
+def test_settings_out_of_range_are_refused(bad):
+    from pydantic import TypeAdapter, ValidationError
+
+    with pytest.raises(ValidationError):
+        TypeAdapter(MotionConfig).validate_python({**bad})
+
+
+def test_settings_matter():
+    sure = MotionModel(MOUNT, replace(MotionConfig(), slip=0.01))
+    unsure = MotionModel(MOUNT)
+    wheels = frame(1, (1.0, 0.0, 0.0))
+    assert sure.odometry(wheels).covariance[3, 3] < unsure.odometry(wheels).covariance[3, 3]

@@ -1,0 +1,195 @@
+"""The disparity check in a run: measured keyframes of points, and rendered images."""
+
+import numpy as np
+import pytest
+
+from frontends.disparity_check import DisparityCheckConfig
+from frontends.geometry import inverse, se3_exp
+from frontends.measurements import RelativePose, Verdict
+from frontends.relative import RelativePositioning
+from lunar_fg.config import Config
+from lunar_fg.graph.keyframe import Keyframe
+from lunar_fg.navigator import Navigator
+from lunar_fg.self_calibration import SelfCalibration
+from synthetic import CAMERA, PointCloud, Scene, arc, rover_T_camera, sequence
+
+MOUNT = rover_T_camera()
+STEP = se3_exp([0.0, 0.012, 0.0, 0.0, 0.0, 0.12])
+FIELD = np.array([1.0, 0.0, 0.0])
+
+
+def keyframes(error=FIELD, count=10, seed=0, gap=()):
+    """Keyframes of noisy points; `gap`: those without images."""
+    rng = np.random.default_rng((8, seed))
+    points = PointCloud.ahead(seed, count=220)
+    result, map_T_camera = [], np.eye(4)
+    for k in range(count):
+        seen = None if k in gap else points.observe(map_T_camera, rng, error)
+        hit = k > 0 and seen is not None and k - 1 not in gap
+        relative = RelativePose(
+            STEP,
+            1e-4 * np.eye(6),
+            seen.landmark_id if hit else np.zeros(0, np.int64),
+            100,
+            Verdict.ACCEPTED if hit else Verdict.REFUSED,
+            "" if hit else "made so",
+        )
+        result.append(Keyframe(k, float(k), seen, relative if k else None))
+        map_T_camera = map_T_camera @ STEP
+    return result
+
+
+def calibration(frames=6, mode="apply"):
+    return SelfCalibration(CAMERA, DisparityCheckConfig(mode=mode, frames=frames))
+
+
+def test_applied_once_when_enough_came():
+    held = calibration()
+    told = [held.watch(keyframe) for keyframe in keyframes()]
+    assert told == [k == 6 for k in range(10)]
+    assert held.finding.coefficients_px[0] == pytest.approx(1.0, abs=0.3)
+    assert not held.conclude()
+
+
+def test_a_short_run_is_judged_at_its_end():
+    held = calibration(frames=30)
+    assert not any(held.watch(keyframe) for keyframe in keyframes())
+    assert held.conclude()
+    assert not held.conclude()
+
+
+def test_nothing_to_find():
+    held = calibration()
+    assert not any(held.watch(keyframe) for keyframe in keyframes(np.zeros(3)))
+    assert held.finding is not None
+    assert not held.finding.significant.any()
+    assert not held.conclude()
+
+
+def test_report_only_reports():
+    held = calibration(mode="report")
+    assert not any(held.watch(keyframe) for keyframe in keyframes())
+    assert held.finding.significant[0]
+    assert not held.conclude()
+
+
+def test_off_does_not_look():
+    held = calibration(mode="off")
+    assert not any(held.watch(keyframe) for keyframe in keyframes())
+    assert not held.conclude()
+    assert held.finding is None
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_no_motion_to_judge(count):
+    held = calibration()
+    assert not any(held.watch(keyframe) for keyframe in keyframes(count=count))
+    assert not held.conclude()
+    assert held.finding is None
+
+
+def test_corrected_keyframes_hold_true_disparities_and_motions():
+    held = calibration()
+    given = keyframes()[:7]
+    for keyframe in given:
+        held.watch(keyframe)
+    corrected = held.corrected(FIELD, RelativePositioning(CAMERA))
+    assert [k.index for k in corrected] == [k.index for k in given]
+    assert corrected[0].relative is None
+    for before, after in zip(given[1:], corrected[1:], strict=True):
+        shift = before.observations.disparity_px - 1.0
+        kept = np.isin(before.observations.landmark_id, after.observations.landmark_id)
+        np.testing.assert_allclose(after.observations.disparity_px, shift[kept], atol=1e-9)
+        assert after.relative.accepted, after.relative.reason
+        error = inverse(after.relative.a_T_b) @ STEP
+        assert np.linalg.norm(error[:3, 3]) < 0.02
+    # what was given stays as it was
+    assert given[1].relative.covariance[0, 0] == 1e-4
+
+
+def test_a_gap_stays_a_gap():
+    held = calibration()
+    for keyframe in keyframes(gap=(3,)):
+        if held.watch(keyframe):
+            break
+    corrected = held.corrected(FIELD, RelativePositioning(CAMERA))
+    assert corrected[3].observations is None
+    assert not corrected[3].relative.accepted
+    assert not corrected[4].relative.accepted
+    assert corrected[5].relative.accepted
+
+
+def run(images, **check):
+    navigator = Navigator(CAMERA, Config(disparity_check=DisparityCheckConfig(**check)), MOUNT)
+    estimates = [navigator.step(frame) for frame in images]
+    navigator.finish()
+    return navigator, estimates
+
+
+def scale_of(navigator, poses):
+    found = navigator.trajectory().map_T_rover[:, :3, 3]
+    return np.linalg.norm(found[-1] - found[0]) / np.linalg.norm(poses[-1, :3, 3])
+
+
+POSES = arc(16, step_m=0.1)
+
+
+@pytest.fixture(scope="module")
+def frames():
+    """A drive whose disparities are all 2 px too large: everything looks too near."""
+    return sequence(POSES, Scene(disparity_px=2.0))
+
+
+def test_the_drive_is_measured_right_after_the_check(frames):
+    off, _ = run(frames, mode="off")
+    assert scale_of(off, POSES) < 0.93  # what there is to repair
+    for count in (8, 100):  # within the run, and at its end
+        navigator, estimates = run(frames, frames=count)
+        assert scale_of(navigator, POSES) == pytest.approx(1.0, abs=0.03)
+        assert len(navigator.trajectory()) == len(frames) == len(navigator.reports)
+        assert navigator.frames_lost == 0
+        told = [text for text in navigator.warnings if "disparity" in text]
+        assert len(told) == 1
+        assert told[0].endswith("removed")
+        assert not told[0].endswith("not removed")
+        assert [e.index for e in estimates] == list(range(len(frames)))
+
+
+def test_report_says_so_and_leaves_the_drive_alone(frames):
+    navigator, _ = run(frames[:12], mode="report", frames=8)
+    plain, _ = run(frames[:12], mode="off")
+    assert any(text.endswith("not removed") for text in navigator.warnings)
+    np.testing.assert_array_equal(
+        navigator.trajectory().map_T_rover, plain.trajectory().map_T_rover
+    )
+
+
+def test_a_clean_drive_is_left_alone():
+    clean = sequence(POSES[:12])
+    navigator, _ = run(clean, frames=8)
+    plain, _ = run(clean, mode="off")
+    assert not any("disparity" in text for text in navigator.warnings)
+    np.testing.assert_array_equal(
+        navigator.trajectory().map_T_rover, plain.trajectory().map_T_rover
+    )
+
+
+@pytest.mark.xfail(strict=True, reason="the old graph is dropped before the new one is complete")
+def test_a_failure_while_correcting_leaves_the_estimates(frames, monkeypatch):
+    """The new graph replaces the old one when it is complete, not before."""
+    from frontends.errors import EstimationError
+    from lunar_fg.graph.incremental import IncrementalSmoother
+
+    navigator = Navigator(
+        CAMERA, Config(disparity_check=DisparityCheckConfig(frames=100)), MOUNT
+    )
+    for frame in frames[:8]:
+        navigator.step(frame)
+
+    def fail(self, keyframe):
+        raise EstimationError("the graph refused the keyframe")
+
+    monkeypatch.setattr(IncrementalSmoother, "add", fail)
+    with pytest.raises(EstimationError):
+        navigator.finish()
+    assert len(navigator.trajectory()) == 8

@@ -1,0 +1,64 @@
+"""Stage times, one value a frame."""
+
+import time
+
+import numpy as np
+import pytest
+
+from lunar_fg.stopwatch import Stopwatch
+
+
+def test_one_value_a_frame_and_nan_where_a_stage_did_not_run():
+    watch = Stopwatch()
+    for k in range(5):
+        with watch.frame():
+            if k in (1, 3):
+                with watch.stage("rare"):
+                    pass
+            with watch.stage("each"):
+                pass
+    times = watch.milliseconds()
+    assert {len(column) for column in times.values()} == {5}
+    assert np.isnan(times["rare"]).tolist() == [True, False, True, False, True]
+    assert np.isfinite(times["each"]).all()
+    assert np.isfinite(times["total"]).all()
+
+
+def test_calls_of_one_stage_in_one_frame_add_up():
+    watch = Stopwatch()
+    with watch.frame():
+        for _ in range(3):
+            with watch.stage("part"):
+                time.sleep(0.002)
+    times = watch.milliseconds()
+    assert len(times["part"]) == 1
+    assert times["part"][0] >= 6.0
+    assert times["total"][0] >= times["part"][0]
+
+
+def test_a_stage_that_raises_is_timed_and_the_error_goes_on():
+    watch = Stopwatch()
+    with pytest.raises(KeyError), watch.frame(), watch.stage("bad"):
+        raise KeyError
+    assert np.isfinite(watch.milliseconds()["bad"]).all()
+    with watch.frame():
+        pass
+    assert [len(column) for column in watch.milliseconds().values()] == [2, 2]
+
+
+def test_nothing_timed():
+    assert Stopwatch().milliseconds() == {}
+
+
+def test_what_it_gives_is_not_what_it_keeps():
+    watch = Stopwatch()
+    with watch.frame():
+        pass
+    watch.milliseconds()["total"].clear()
+    assert len(watch.milliseconds()["total"]) == 1
+
+
+@pytest.mark.xfail(strict=True, raises=IndexError, reason="a stage before the first frame")
+def test_a_stage_outside_of_any_frame_is_no_crash():
+    with Stopwatch().stage("set-up"):
+        pass
