@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from synthetic import CAMERA, PointCloud
 
 from frontends.disparity_check import DisparityCheck, DisparityCheckConfig
 from frontends.geometry import se3_exp
 from frontends.rectification import observe
-from synthetic import CAMERA, PointCloud
 
 STEP = se3_exp([0.0, 0.012, 0.0, 0.0, 0.0, 0.12])
 

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from synthetic import rover_T_camera
 
 from frontends.camera import StereoCamera
 from frontends.geometry import inverse, se3_exp, se3_log
 from frontends.measurements import RelativePose, StartPrior, Verdict
 from frontends.rectification import observe
-from synthetic import rover_T_camera
 
 CAMERA = StereoCamera(320, 240, 240.0, 240.0, 160.0, 120.0, 0.12)
 

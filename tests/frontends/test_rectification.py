@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from synthetic import CAMERA
 
 from frontends.rectification import (
     RectificationError,
@@ -10,7 +11,6 @@ from frontends.rectification import (
     robust_fit,
     vertical_basis,
 )
-from synthetic import CAMERA
 
 
 def pixels(n, seed=0):

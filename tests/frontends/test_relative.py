@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import chi2
+from synthetic import CAMERA, PointCloud
 
 from frontends.geometry import inverse, se3_exp, se3_log, transform_points
 from frontends.rectification import observe
@@ -17,7 +18,6 @@ from frontends.relative import (
 )
 from frontends.reprojection import TwoViewProblem
 from frontends.tracking import common_landmarks
-from synthetic import CAMERA, PointCloud
 
 A_T_B = se3_exp([0.01, -0.03, 0.005, 0.02, 0.01, 0.25])
 NOTHING_KNOWN = MotionPrediction(np.eye(4), np.diag([0.05**2] * 3 + [0.3**2] * 3))

@@ -5,12 +5,12 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from synthetic import CAMERA, GROUND, Plane, Scene, rover_T_camera
 
 from frontends.camera import StereoCamera
 from frontends.errors import InputError
 from frontends.measurements import StereoFrame
 from frontends.stereo import StereoConfig, StereoPerception
-from synthetic import CAMERA, GROUND, Plane, Scene, rover_T_camera
 
 WALL = Plane((3.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 #: Looks steeply down: the ground fills the image, nothing hides anything.

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from synthetic import CAMERA, arc, rover_T_camera, sequence
 
 from frontends.geometry import inverse, se3_exp
 from frontends.measurements import RelativePose, Verdict
@@ -11,7 +12,6 @@ from frontends.rectification import observe
 from frontends.relative import MotionPrediction
 from frontends.stereo import StereoFeatures, StereoPerception
 from frontends.tracking import LandmarkTracker, TrackingConfig, common_landmarks
-from synthetic import CAMERA, arc, rover_T_camera, sequence
 
 NO_MOTION = MotionPrediction(np.eye(4), 1e-4 * np.eye(6))
 

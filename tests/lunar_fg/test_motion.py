@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from synthetic import rover_T_camera
 
 from frontends.camera import level_rover_T_camera
 from frontends.geometry import inverse, pose, se3_exp, se3_log, yaw_pitch_roll
@@ -16,7 +17,6 @@ from frontends.measurements import (
     WheelOdometry,
 )
 from lunar_fg.motion import MotionConfig, MotionModel, tilt_of
-from synthetic import rover_T_camera
 
 MOUNT = rover_T_camera(1.1, 0.4)
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from synthetic import CAMERA, Scene, arc, rover_T_camera, sequence
 
 from frontends.disparity_check import DisparityCheckConfig
 from frontends.errors import EstimationError, InputError, LunarFgError
@@ -11,7 +12,6 @@ from frontends.geometry import inverse, se3_log
 from frontends.measurements import StartPrior, StereoFrame, UnusableFrame, WheelOdometry
 from lunar_fg.config import Config
 from lunar_fg.navigator import Navigator
-from synthetic import CAMERA, Scene, arc, rover_T_camera, sequence
 
 MOUNT = rover_T_camera()
 POSES = arc(24)
@@ -134,7 +134,7 @@ def test_a_motion_that_was_never_seen_is_not_claimed_to_be_known():
     fast = sequence(arc(2, step_m=0.5))
     _, estimates = navigate([unusable(fast[0]), fast[1]])
     sigma = np.sqrt(np.diag(estimates[1].covariance)[3])
-    assert 0.5 < 3.0 * sigma
+    assert 3.0 * sigma > 0.5
 
 
 def test_all_frames_unusable(frames):

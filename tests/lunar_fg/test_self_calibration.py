@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from synthetic import CAMERA, PointCloud, Scene, arc, rover_T_camera, sequence
 
 from frontends.disparity_check import DisparityCheckConfig
 from frontends.geometry import inverse, se3_exp
@@ -11,7 +12,6 @@ from lunar_fg.config import Config
 from lunar_fg.graph.keyframe import Keyframe
 from lunar_fg.navigator import Navigator
 from lunar_fg.self_calibration import SelfCalibration
-from synthetic import CAMERA, PointCloud, Scene, arc, rover_T_camera, sequence
 
 MOUNT = rover_T_camera()
 STEP = se3_exp([0.0, 0.012, 0.0, 0.0, 0.0, 0.12])

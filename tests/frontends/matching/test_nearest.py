@@ -36,7 +36,7 @@ def test_both_searches_give_the_pairs_of_the_definition(method, ratio, mutual):
     query = np.concatenate([noisy(train[:150], 0.12, 1), descriptors(120, 2, width=16)])
     found = match_descriptors(query, train, ratio=ratio, mutual=mutual, method=method)
     expected = slow(query, train, ratio, mutual)
-    assert 20 < len(expected)
+    assert len(expected) > 20
     assert list(zip(found.query, found.train, strict=True)) == expected
     exact = ((query[found.query] - train[found.train]) ** 2).sum(axis=1)
     np.testing.assert_allclose(found.distance2, exact, atol=1e-5)
