@@ -107,3 +107,13 @@ def test_correct_drops_what_falls_behind_the_camera():
     assert (corrected.points_cam[:, 2] > 0.0).all()
     nothing = RectificationError().correct(CAMERA, measured.select(np.zeros(4, bool)))
     assert len(nothing) == 0
+
+
+@pytest.mark.xfail(strict=True, reason="only the sign of the corrected disparity is looked at")
+def test_correct_leaves_no_point_beyond_all_range():
+    """Perception drops points whose depth is not known to a quarter; so should this."""
+    sigma = np.full(3, 0.1)
+    place = np.full(3, 100.0)
+    measured = observe(CAMERA, np.arange(3), place, place, np.array([3.01, 3.2, 9.0]), sigma, sigma)
+    kept = RectificationError(disparity_px=np.array([3.0, 0.0, 0.0])).correct(CAMERA, measured)
+    assert (np.sqrt(kept.points_covariance[:, 2, 2]) < kept.points_cam[:, 2]).all()

@@ -271,3 +271,14 @@ def test_more_inliers_asked_for_than_there_are_is_a_reason():
     a, b, _ = two_views(0, count=60)
     found = estimate(a, b, config=RelativeConfig(min_inliers=1000))
     assert_refused(found)
+
+
+@pytest.mark.xfail(strict=True, reason="settings are not checked: numpy's ValueError")
+@pytest.mark.parametrize("least", [0, 2])
+def test_fewer_than_three_inliers_asked_for_is_no_crash(least):
+    a, b, _ = two_views(0)
+    found = estimate(
+        a.select(np.arange(least)), b.select(np.arange(least)),
+        config=RelativeConfig(min_inliers=least),
+    )  # fmt: skip
+    assert_refused(found)

@@ -302,3 +302,19 @@ def test_any_frame_may_come_as_plain_arrays(frames):
     frame = StereoFrame(0, 0.0, left, wide[:, ::2], CAMERA)
     _, estimates = navigate([frame])
     assert len(estimates) == 1
+
+
+@pytest.mark.xfail(strict=True, reason="RuntimeError of the closed thread pool")
+def test_a_frame_after_the_end_is_a_named_error(frames):
+    navigator, _ = navigate(frames[:2])
+    with pytest.raises(LunarFgError):
+        navigator.step(frames[2])
+
+
+@pytest.mark.xfail(strict=True, reason="every frame is kept until enough of them moved")
+def test_waiting_for_the_first_motion_does_not_fill_the_memory(frames):
+    navigator = Navigator(CAMERA, Config(), MOUNT)
+    for k in range(40):
+        navigator.step(replace(frames[0], index=k, stamp_s=float(k)))
+    check = navigator._calibration._check
+    assert len(check._frames) < 35
