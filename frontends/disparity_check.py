@@ -35,8 +35,8 @@ class DisparityCheckConfig:
         ``"apply"``: correct a significant error; ``"report"``: only say so; ``"off"``.
     frames
         Moving frames that the check uses, from the start of the run.
-    significance_sigma
-        The field is significant when one of its terms exceeds so many sigmas.
+    false_alarm_probability
+        A pair without any error is corrected with this probability.
     floor_px
         Sub-pixel matching is biased by up to about this much whatever the number of
         matches: added to every sigma.
@@ -46,7 +46,7 @@ class DisparityCheckConfig:
 
     mode: Literal["apply", "report", "off"] = "apply"
     frames: int = 30
-    significance_sigma: float = 4.0
+    false_alarm_probability: float = 1e-4
     floor_px: float = 0.05
 
 
@@ -56,42 +56,33 @@ class DisparityFinding:
 
     Attributes
     ----------
-    coefficients_px, sigma_px
-        (3,) of the terms 1, x^2, y^2, each scaled to px at the image border
-        (`border_scale`); the sigmas hold the matching bias.
-    border_scale
-        (3,) factor from the field's coefficients to px at the border.
+    field_px
+        (3,) coefficients for `RectificationError.disparity_px`.
+    border_px, border_sigma_px
+        (3,) the same terms, in px at the image border, and their 1-sigma with the
+        matching bias in it.
+    chance
+        Probability that a pair without any error shows as much.
+    significant
+        Whether that is below the allowed false-alarm probability.
     pairs
         Frame pairs used.
-    significance_sigma
-        A term is significant from so many sigmas.
     """
 
-    coefficients_px: FloatArray
-    sigma_px: FloatArray
-    border_scale: FloatArray
+    field_px: FloatArray
+    border_px: FloatArray
+    border_sigma_px: FloatArray
+    chance: float
+    significant: bool
     pairs: int
-    significance_sigma: float
-
-    @property
-    def significant(self) -> NDArray[np.bool_]:
-        """Which terms are significant, (3,)."""
-        return np.asarray(np.abs(self.coefficients_px) >= self.significance_sigma * self.sigma_px)
-
-    @property
-    def field_px(self) -> FloatArray:
-        """Coefficients for `RectificationError.disparity_px`."""
-        return np.asarray(self.coefficients_px / self.border_scale)
 
     def __str__(self) -> str:
         names = ("constant", "x^2 at the side", "y^2 at the top")
-        parts = [
-            f"{name} {value:+.2f} +- {sigma:.2f} px{'' if counts else ' (not significant)'}"
-            for name, value, sigma, counts in zip(
-                names, self.coefficients_px, self.sigma_px, self.significant, strict=True
-            )
-        ]
-        return f"disparity error from motion, {self.pairs} frame pairs: " + ", ".join(parts)
+        values = zip(names, self.border_px, self.border_sigma_px, strict=True)
+        parts = [f"{name} {value:+.2f} +- {sigma:.2f} px" for name, value, sigma in values]
+        return f"disparity error seen in the motion of {self.pairs} frame pairs: " + ", ".join(
+            parts
+        )
 
 
 class DisparityCheck:
@@ -148,9 +139,17 @@ class DisparityCheck:
         side = np.array([0.0, camera.width - 1.0]), np.array([0.0, camera.height - 1.0])
         scale = disparity_basis(camera, *side).max(axis=0)
         field, covariance = self._solve()
-        sigma = np.hypot(np.sqrt(np.diag(covariance)) * scale, self.config.floor_px)
+        border = field * scale
+        spread = covariance * np.outer(scale, scale) + self.config.floor_px**2 * np.eye(len(field))
+        distance2 = float(border @ np.linalg.solve(spread, border))
+        chance = float(chi2_distribution.sf(distance2, df=len(field)))
         return DisparityFinding(
-            field * scale, sigma, scale, len(self._pairs), self.config.significance_sigma
+            field,
+            border,
+            np.sqrt(np.diag(spread)),
+            chance,
+            chance < self.config.false_alarm_probability,
+            len(self._pairs),
         )
 
     def _solve(self) -> tuple[FloatArray, FloatArray]:
@@ -223,9 +222,7 @@ class DisparityCheck:
         """Ids of a frame that the frame before knew."""
         if frame == 0:
             return np.zeros(0, dtype=np.int64)
-        return np.intersect1d(
-            self._frames[frame].landmark_id, self._frames[frame - 1].landmark_id
-        )
+        return np.intersect1d(self._frames[frame].landmark_id, self._frames[frame - 1].landmark_id)
 
     def _common(self, a: int, b: int) -> tuple[StereoObservations, StereoObservations]:
         """Observations of the landmarks that both frames see, in the same order."""

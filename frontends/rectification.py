@@ -50,9 +50,7 @@ class RectificationError:
         """Disparity error to expect at left-image pixels, px, (N,)."""
         return np.asarray(disparity_basis(camera, u, v) @ self.disparity_px)
 
-    def correct(
-        self, camera: StereoCamera, observations: StereoObservations
-    ) -> StereoObservations:
+    def correct(self, camera: StereoCamera, observations: StereoObservations) -> StereoObservations:
         """Observations with the disparity error removed and the points triangulated anew.
 
         Observations whose corrected disparity is not positive are dropped.

@@ -195,9 +195,7 @@ class RelativePositioning:
                 wanted = np.log(1.0 - self.config.confidence) / miss
         return best, inlier
 
-    def _score(
-        self, problem: TwoViewProblem, b_T_a: FloatArray
-    ) -> tuple[float, NDArray[np.bool_]]:
+    def _score(self, problem: TwoViewProblem, b_T_a: FloatArray) -> tuple[float, NDArray[np.bool_]]:
         _, _, chi2 = problem.linearise(b_T_a, self.config.kernel_sigma)
         return float(np.minimum(chi2, self._gate).sum()), chi2 < self._gate
 

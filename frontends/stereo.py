@@ -49,8 +49,10 @@ class StereoConfig:
     border_px
         Landmarks nearer to the image border are dropped.
     localisation_sigma
-        1-sigma of a SURF keypoint per axis, in px per unit of its scale
-        (size 9 is scale 1.2).
+        1-sigma of a SURF keypoint per axis from one frame to the next at equal distance,
+        in px per unit of its scale (size 9 is scale 1.2).
+    stereo_localisation_sigma
+        The same between the left and the right image.
     """
 
     __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
@@ -61,7 +63,8 @@ class StereoConfig:
     near_baselines: float = 2.0
     max_depth_sigma: float = 0.25
     border_px: float = 8.0
-    localisation_sigma: float = 0.135
+    localisation_sigma: float = 0.06
+    stereo_localisation_sigma: float = 0.135
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +79,8 @@ class StereoFeatures:
         (N, 64) float32, from the left image.
     laplacian
         (N,) int8.
+    size_px
+        (N,) diameter of the image region a feature describes.
     keypoints
         How many in the left and in the right image.
     matches
@@ -89,6 +94,7 @@ class StereoFeatures:
     observations: StereoObservations
     descriptors: NDArray[np.float32]
     laplacian: NDArray[np.int8]
+    size_px: FloatArray
     keypoints: tuple[int, int]
     matches: int
     refined: int
@@ -157,7 +163,7 @@ class StereoPerception:
         scale = left.size[pairs.query].astype(np.float64) * (1.2 / 9.0)
         sigma = self.config.localisation_sigma * scale
         disparity, sigma_disparity, refined, epipolar_sigma = self._refine(
-            frame, left_uv, right_uv, sigma
+            frame, left_uv, right_uv, self.config.stereo_localisation_sigma * scale
         )
         u, v = left_uv[:, 0], left_uv[:, 1]
         disparity = disparity - self.rectification.disparity_at(self.camera, u, v)
@@ -177,6 +183,7 @@ class StereoPerception:
             observations,
             left_descriptors[chosen],
             left.laplacian[chosen],
+            left.size[chosen].astype(np.float64),
             (len(left), len(right)),
             len(pairs),
             refined,

@@ -33,6 +33,11 @@ class TrackingConfig:
         A landmark is kept for so many frames after it was last seen.
     ratio
         Largest ratio of nearest to second-nearest descriptor distance.
+    scale_change_sigma
+        A feature's centre moves on the surface when its distance changes: 1-sigma as a
+        share of the feature's size, per unit of the logarithm of the distance.
+    surface_slope
+        How much of that movement turns into disparity.
     """
 
     __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
@@ -41,6 +46,8 @@ class TrackingConfig:
     wide_search_fraction: float = 0.12
     max_unseen: int = 2
     ratio: float = 0.85
+    scale_change_sigma: float = 0.35
+    surface_slope: float = 0.4
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,8 +165,8 @@ class LandmarkTracker:
             ratio=self.config.ratio,
         )
         chosen = visible.select(matches.query)
-        observations = replace(
-            seen.select(matches.train), landmark_id=chosen.landmark_id.astype(np.int64)
+        observations = self._as_tracked(
+            seen.select(matches.train), chosen, features.size_px[matches.train]
         )
         return Tracks(chosen.points, chosen.covariance, observations, matches.train)
 
@@ -181,12 +188,22 @@ class LandmarkTracker:
             All landmarks of the new frame, with ids.
         """
         ids = np.full(len(features), -1, dtype=np.int64)
+        sigma = features.observations.sigma_px.copy()
+        sigma_disparity = features.observations.sigma_disparity_px.copy()
         holds = np.isin(tracks.observations_b.landmark_id, relative.inlier_ids)
-        ids[tracks.feature[holds]] = tracks.observations_b.landmark_id[holds]
+        tracked = tracks.feature[holds]
+        ids[tracked] = tracks.observations_b.landmark_id[holds]
+        sigma[tracked] = tracks.observations_b.sigma_px[holds]
+        sigma_disparity[tracked] = tracks.observations_b.sigma_disparity_px[holds]
         new = ids < 0
         ids[new] = self._next_id + np.arange(int(new.sum()))
         self._next_id += int(new.sum())
-        observations = replace(features.observations, landmark_id=ids)
+        observations = replace(
+            features.observations,
+            landmark_id=ids,
+            sigma_px=sigma,
+            sigma_disparity_px=sigma_disparity,
+        )
         current = _Memory(
             ids,
             features.descriptors,
@@ -215,6 +232,19 @@ class LandmarkTracker:
             covariance=observations.points_covariance,
         )
 
+    def _as_tracked(
+        self, seen: StereoObservations, landmarks: _Memory, size_px: FloatArray
+    ) -> StereoObservations:
+        """Observations with the landmarks' ids and the noise of having come nearer."""
+        change = np.log(np.maximum(landmarks.points[:, 2], 1e-6) / seen.points_cam[:, 2])
+        shift = self.config.scale_change_sigma * size_px * np.abs(change)
+        return replace(
+            seen,
+            landmark_id=landmarks.landmark_id.astype(np.int64),
+            sigma_px=np.hypot(seen.sigma_px, shift),
+            sigma_disparity_px=np.hypot(seen.sigma_disparity_px, self.config.surface_slope * shift),
+        )
+
     def _carried(self, a_T_b: FloatArray, seen_again: NDArray[np.int64]) -> _Memory | None:
         """The old memory in the new frame's axes, without what was seen again or lost."""
         memory = self._memory
@@ -236,7 +266,5 @@ def common_landmarks(
     a: StereoObservations, b: StereoObservations
 ) -> tuple[StereoObservations, StereoObservations]:
     """Observations of the landmarks that both frames see, in the same order."""
-    _, i, j = np.intersect1d(
-        a.landmark_id, b.landmark_id, assume_unique=True, return_indices=True
-    )
+    _, i, j = np.intersect1d(a.landmark_id, b.landmark_id, assume_unique=True, return_indices=True)
     return a.select(i), b.select(j)

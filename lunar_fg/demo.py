@@ -90,9 +90,7 @@ def demo(folder: RunFolder, truth_path: Path | None = None) -> DemoResult:
     accuracy = compare(segments, truth)
     folder.write_trajectory(segments, rover_T_camera=sequence.rover_T_camera)
     folder.write_metrics(
-        Metrics.of_run(
-            accuracy, frames=len(segments), frames_lost=0, timing_ms={"graph": step_ms}
-        )
+        Metrics.of_run(accuracy, frames=len(segments), frames_lost=0, timing_ms={"graph": step_ms})
     )
     write_plots(
         folder.plots_path,
@@ -121,9 +119,7 @@ def _incremental(
     sequence: LandmarkSequence, config: GraphConfig, header: RunHeader, folder: RunFolder | None
 ) -> tuple[Trajectory, list[float]]:
     """Feed the keyframes one by one, as a rover would; log them where there is a folder."""
-    smoother = IncrementalSmoother(
-        sequence.camera, sequence.rover_T_camera, sequence.start, config
-    )
+    smoother = IncrementalSmoother(sequence.camera, sequence.rover_T_camera, sequence.start, config)
     step_ms: list[float] = []
     log = None if folder is None else TraverseLog.create(folder.database_path, header)
     try:

@@ -111,15 +111,13 @@ class Navigator:
                 f"the images are {vertical:+.2f} px apart vertically (v_left - v_right): removed"
             )
         finding = self._calibration.finding
-        if finding is not None and finding.significant.any():
+        if finding is not None and finding.significant:
             applied = self.config.disparity_check.mode == "apply"
-            found.append(f"{finding}: {'removed' if applied else 'not removed'}")
+            found.append(f"{finding}; {'removed' if applied else 'not removed, as configured'}")
         return (*found, *self._frontend.unusable, *self._smoother.warnings)
 
     def _new_smoother(self) -> IncrementalSmoother:
-        return IncrementalSmoother(
-            self.camera, self.rover_T_camera, self._start, self.config.graph
-        )
+        return IncrementalSmoother(self.camera, self.rover_T_camera, self._start, self.config.graph)
 
     def _recalibrate(self) -> Estimate:
         """Start again from the measurements so far, with the disparity error removed."""

@@ -68,9 +68,7 @@ def run(
         dataset.camera, dataset.rover_T_camera, dataset.start, config.model_dump_json()
     )
     with TraverseLog.create(folder.database_path, header) as log:
-        navigator = Navigator(
-            dataset.camera, config, dataset.rover_T_camera, dataset.start, log
-        )
+        navigator = Navigator(dataset.camera, config, dataset.rover_T_camera, dataset.start, log)
         try:
             with folder.recorder(rover_T_camera=dataset.rover_T_camera) as recorder:
                 for frame in dataset.frames():

@@ -55,7 +55,7 @@ class SelfCalibration:
         if self._config.mode == "report" or self.finding is None:
             self._keyframes = []
             return False
-        return bool(self.finding.significant.any())
+        return self.finding.significant
 
     def corrected(
         self, disparity_px: FloatArray, positioning: RelativePositioning
@@ -72,9 +72,7 @@ class SelfCalibration:
                 if before is not None and relative is not None and relative.accepted:
                     a, b = common_landmarks(before, observations)
                     prediction = MotionPrediction(relative.a_T_b, relative.covariance)
-                    relative = positioning.refine(
-                        a.points_cam, a.points_covariance, b, prediction
-                    )
+                    relative = positioning.refine(a.points_cam, a.points_covariance, b, prediction)
             result.append(replace(keyframe, observations=observations, relative=relative))
         self._keyframes = []
         return result

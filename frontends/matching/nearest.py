@@ -38,9 +38,7 @@ class Matches:
 
     def select(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> Matches:
         """The matches at a mask or an index array."""
-        return Matches(
-            self.query[keep], self.train[keep], self.distance2[keep], self.candidates
-        )
+        return Matches(self.query[keep], self.train[keep], self.distance2[keep], self.candidates)
 
 
 def match_descriptors(
