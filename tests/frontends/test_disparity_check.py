@@ -29,12 +29,13 @@ def check_of(seed, error=(0.0, 0.0, 0.0), frames=14, step=STEP, config=None, **c
 @pytest.mark.parametrize("seed", range(3))
 def test_the_injected_field_is_found_within_its_sigmas(error, seed):
     finding = check_of(seed, error).finding()
-    truth = np.array(error) * finding.border_scale
-    normalised = np.abs(finding.coefficients_px - truth) / finding.sigma_px
+    scale = finding.border_px / finding.field_px
+    np.testing.assert_allclose(scale[0], 1.0)
+    normalised = np.abs(finding.field_px - error) * scale / finding.border_sigma_px
     assert normalised.max() < 3.0, str(finding)
-    if abs(error[0]) >= 1.0:
-        assert finding.significant[0], str(finding)
-    np.testing.assert_allclose(finding.field_px, error, atol=3.0 * finding.sigma_px.max())
+    if abs(error[0]) >= 0.5:
+        assert finding.significant, str(finding)
+        assert finding.chance < 1e-4
 
 
 def test_a_clean_pair_is_left_alone():
@@ -42,8 +43,8 @@ def test_a_clean_pair_is_left_alone():
     normalised = []
     for seed in range(20):
         finding = check_of(seed, frames=8).finding()
-        assert not finding.significant.any(), str(finding)
-        normalised.append(finding.coefficients_px / finding.sigma_px)
+        assert not finding.significant, str(finding)
+        normalised.append(finding.border_px / finding.border_sigma_px)
     assert np.mean(np.square(normalised)) < 1.3
 
 
@@ -76,7 +77,7 @@ def test_the_finding_says_what_it_found():
 
 def test_it_is_a_function_of_its_input():
     first, second = (check_of(4, (0.5, 0.0, 0.0), frames=6).finding() for _ in range(2))
-    assert first.coefficients_px.tobytes() == second.coefficients_px.tobytes()
+    assert first.field_px.tobytes() == second.field_px.tobytes()
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -93,7 +94,7 @@ def test_one_landmark_in_ten_wrong_does_not_matter(seed):
                           seen.sigma_disparity_px))  # fmt: skip
         map_T_camera = map_T_camera @ STEP
     finding = check.finding()
-    assert abs(finding.coefficients_px[0] - 1.0) < 3.0 * finding.sigma_px[0]
+    assert abs(finding.field_px[0] - 1.0) < 3.0 * finding.border_sigma_px[0]
 
 
 @pytest.mark.xfail(strict=True, reason="LinAlgError when no pair keeps 30 landmarks")
@@ -104,4 +105,13 @@ def test_disparities_below_half_a_pixel_are_no_crash():
         nearest_m=64.0, farthest_m=96.0, sigma_disparity_px=0.05,
     )  # fmt: skip
     finding = check.finding()
-    assert finding is None or not finding.significant.any()
+    assert finding is None or not finding.significant
+
+
+@pytest.mark.xfail(strict=True, reason="pair overlap: sigmas 2 to 3 times too large")
+def test_the_covariance_before_the_floor_is_honest():
+    squared = []
+    for seed in range(20):
+        field, covariance = check_of(seed, frames=10)._solve()
+        squared.append(field @ np.linalg.solve(covariance, field) / 3.0)
+    assert 0.5 < np.mean(squared) < 1.7
