@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from frontends.surf.descriptor import box_pairs
 from frontends.surf.integral import half_image, integral_image, integral_shape
+from frontends.surf.rotated import box_pairs
 
 
 class Buffers:

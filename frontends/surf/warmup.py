@@ -5,9 +5,11 @@ from __future__ import annotations
 import functools
 
 from frontends.surf._jit import load_kernels
-from frontends.surf.descriptor import box_pairs, describe_level
-from frontends.surf.hessian import detect_pair, refine_all
+from frontends.surf.describe import describe_level
 from frontends.surf.integral import halve, integrate
+from frontends.surf.maxima import detect_pair
+from frontends.surf.refinement import refine_all
+from frontends.surf.rotated import box_pairs
 
 _KERNELS = (
     (halve, "void(uint8[:,::1], int64, uint16[:,::1])"),

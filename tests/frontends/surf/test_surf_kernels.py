@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 from surf_images import blob, hessian_reference, textured
 
 from frontends.surf import SURF, Keypoints
-from frontends.surf.descriptor import window_weights
-from frontends.surf.hessian import NEIGHBOURS, detect_pair, response_at
+from frontends.surf.box_filters import response_at
 from frontends.surf.integral import PAD, half_image, integral_image
+from frontends.surf.maxima import NEIGHBOURS, detect_pair
+from frontends.surf.subregions import window_weights
 
 
 @settings(max_examples=30, deadline=None)

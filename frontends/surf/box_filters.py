@@ -1,0 +1,85 @@
+"""The box filters of the fast Hessian (Bay et al., eqs. 9 and 10), and one response of them.
+
+A filter of side L = 3 l has lobes of l x 5/9 L for Dxx and Dyy and l x l for Dxy. Responses
+are in OpenCV's unit, means over the lobes of Dxx, so that thresholds carry over:
+``det = Dxx Dyy - (0.9 Dxy)^2``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frontends.surf._jit import njit
+from frontends.surf.integral import FRACTION_BITS
+
+# (0.9 Dxy)^2 of eq. 10, for lobe means: the paper's 0.9 is for sums, and a Dxy lobe has 3/5 of
+# the area of a Dxx lobe. OpenCV puts 0.9 on the means, which costs 3 to 10 % of the matches on
+# low-texture ground (benchmarks/surf_quality.py).
+WEIGHT2 = np.float32((0.9 * 3 / 5) ** 2)
+
+
+@njit
+def lobe_wing(lobe: int) -> int:
+    """Half of a second-derivative lobe's long side, which is 5/9 L rounded to odd.
+
+    5, 9, 11, 15 for L = 9, 15, 21, 27, as in OpenCV: the shape stays that of the 9 x 9 filter.
+    """
+    return 5 * lobe // 6
+
+
+@njit
+def response_at(
+    integral: NDArray[np.int32], row: int, column: int, lobe: int
+) -> tuple[np.float32, np.float32]:
+    """Evaluate determinant (eq. 10) and trace of one filter at one pixel.
+
+    Parameters
+    ----------
+    integral : ndarray int32
+        Padded integral image in grey*4.
+    row, column : int
+        Pixel in padded coordinates.
+    lobe : int
+        l = L / 3.
+
+    Returns
+    -------
+    det, trace : float32
+        In grey^2 and grey, of lobe means.
+    """
+    half = lobe + lobe // 2
+    inner = lobe // 2
+    wing = lobe_wing(lobe)
+    # Sums wrap modulo 2^32, which the cast of each result undoes. Unsigned indices: see above.
+    y0, y1 = np.uint64(row - half), np.uint64(row - inner)
+    y2, y3 = np.uint64(row + inner + 1), np.uint64(row + half + 1)
+    x0, x1 = np.uint64(column - wing), np.uint64(column + wing + 1)
+    dyy = np.int32(
+        (integral[y3, x1] - integral[y3, x0])
+        - (integral[y0, x1] - integral[y0, x0])
+        + 3 * ((integral[y1, x1] - integral[y1, x0]) - (integral[y2, x1] - integral[y2, x0]))
+    )
+    y0, y1 = np.uint64(row - wing), np.uint64(row + wing + 1)
+    x0, x1 = np.uint64(column - half), np.uint64(column - inner)
+    x2, x3 = np.uint64(column + inner + 1), np.uint64(column + half + 1)
+    dxx = np.int32(
+        (integral[y1, x3] - integral[y0, x3])
+        - (integral[y1, x0] - integral[y0, x0])
+        + 3 * ((integral[y1, x1] - integral[y0, x1]) - (integral[y1, x2] - integral[y0, x2]))
+    )
+    y0, y1 = np.uint64(row - lobe), np.uint64(row)
+    y2, y3 = np.uint64(row + 1), np.uint64(row + lobe + 1)
+    x0, x1 = np.uint64(column - lobe), np.uint64(column)
+    x2, x3 = np.uint64(column + 1), np.uint64(column + lobe + 1)
+    left = (integral[y1, x1] - integral[y1, x0]) - (integral[y0, x1] - integral[y0, x0])
+    left -= (integral[y3, x1] - integral[y3, x0]) - (integral[y2, x1] - integral[y2, x0])
+    right = (integral[y1, x3] - integral[y1, x2]) - (integral[y0, x3] - integral[y0, x2])
+    right -= (integral[y3, x3] - integral[y3, x2]) - (integral[y2, x3] - integral[y2, x2])
+    dxy = np.int32(left - right)
+    scale = np.float32(1.0 / ((1 << FRACTION_BITS) * lobe * (2 * wing + 1)))
+    scale_xy = np.float32(1.0 / ((1 << FRACTION_BITS) * lobe * lobe))
+    xx = scale * np.float32(dxx)
+    yy = scale * np.float32(dyy)
+    xy = scale_xy * np.float32(dxy)
+    return xx * yy - WEIGHT2 * xy * xy, xx + yy

@@ -1,0 +1,125 @@
+"""Candidates against their outer layer, and their sub-pixel position and size."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frontends.surf._jit import kernel, njit
+from frontends.surf.box_filters import response_at
+from frontends.surf.integral import PAD
+
+
+@njit
+def refine(
+    integral: NDArray[np.int32],
+    lobe: int,
+    position: NDArray[np.int32],
+    dense: NDArray[np.float32],
+    cube: NDArray[np.float32],
+    out: NDArray[np.float32],
+) -> bool:
+    """Check one candidate against its outer layer and interpolate it (3-D quadratic).
+
+    Parameters
+    ----------
+    integral : ndarray int32
+        Padded integral image in grey*4.
+    lobe : int
+        l of the lower dense layer of the pair.
+    position : ndarray (3,) int32
+    dense : ndarray (18,) float32
+        As stored by `detect_pair`.
+    cube : ndarray (3, 3, 3) float32
+        Scratch.
+    out : ndarray (5,) float32
+        x, y (pixels of this level), size (side L of the filter), response, trace.
+
+    Returns
+    -------
+    bool
+        False where the outer layer is as high or the maximum lies outside the neighbourhood.
+    """
+    layer = position[0]
+    row = position[1] + PAD
+    col = position[2] + PAD
+    outer = 0 if layer == 0 else 2
+    k = 0
+    for i in range(2):
+        for j in range(3):
+            for m in range(3):
+                cube[i + 1 - layer, j, m] = dense[k]
+                k += 1
+    value = cube[1, 1, 1]
+    outer_lobe = lobe - 2 if layer == 0 else lobe + 4
+    for step in range(9):
+        # from the centre outwards (4, 5, 3, 6 ..): it decides most often
+        k = 4 + (step + 1) // 2 * (1 if step % 2 == 1 else -1)
+        det, _ = response_at(integral, row + k // 3 - 1, col + k % 3 - 1, outer_lobe)
+        if det >= value:
+            return False
+        cube[outer, k // 3, k % 3] = det
+
+    gx = np.float32(0.5) * (cube[1, 1, 2] - cube[1, 1, 0])
+    gy = np.float32(0.5) * (cube[1, 2, 1] - cube[1, 0, 1])
+    gs = np.float32(0.5) * (cube[2, 1, 1] - cube[0, 1, 1])
+    two = np.float32(2)
+    quarter = np.float32(0.25)
+    xx = cube[1, 1, 0] - two * value + cube[1, 1, 2]
+    yy = cube[1, 0, 1] - two * value + cube[1, 2, 1]
+    ss = cube[0, 1, 1] - two * value + cube[2, 1, 1]
+    xy = quarter * (cube[1, 0, 0] + cube[1, 2, 2] - cube[1, 0, 2] - cube[1, 2, 0])
+    xs = quarter * (cube[0, 1, 0] + cube[2, 1, 2] - cube[0, 1, 2] - cube[2, 1, 0])
+    ys = quarter * (cube[0, 0, 1] + cube[2, 2, 1] - cube[0, 2, 1] - cube[2, 0, 1])
+    # Cramer's rule for H d = -g
+    c00 = yy * ss - ys * ys
+    c01 = xs * ys - xy * ss
+    c02 = xy * ys - yy * xs
+    det = xx * c00 + xy * c01 + xs * c02
+    if det == 0:
+        return False
+    c11 = xx * ss - xs * xs
+    c12 = xy * xs - xx * ys
+    c22 = xx * yy - xy * xy
+    dx = -(c00 * gx + c01 * gy + c02 * gs) / det
+    dy = -(c01 * gx + c11 * gy + c12 * gs) / det
+    ds = -(c02 * gx + c12 * gy + c22 * gs) / det
+    if not (abs(dx) <= 1 and abs(dy) <= 1 and abs(ds) <= 1):
+        return False
+    centre_lobe = lobe + 2 * layer
+    _, trace = response_at(integral, row, col, centre_lobe)
+    out[0] = position[2] + dx
+    out[1] = position[1] + dy
+    out[2] = 3 * centre_lobe + 6 * ds
+    out[3] = value
+    out[4] = trace
+    return True
+
+
+@kernel
+def refine_all(
+    integral: NDArray[np.int32],
+    lobe: int,
+    positions: NDArray[np.int32],
+    neighbours: NDArray[np.float32],
+    chosen: NDArray[np.int64],
+    out: NDArray[np.float32],
+) -> int:
+    """Refine the candidates `chosen`, in that order; see `refine`.
+
+    Parameters
+    ----------
+    out : ndarray (len(chosen), 5) float32
+        Filled from the top.
+
+    Returns
+    -------
+    int
+        Rows of `out` filled.
+    """
+    cube = np.empty((3, 3, 3), np.float32)
+    kept = 0
+    for i in chosen:
+        if refine(integral, lobe, positions[i], neighbours[i], cube, out[kept]):
+            kept += 1
+    return kept
