@@ -13,13 +13,14 @@ from frontends.errors import EstimationError, InputError
 from frontends.measurements import FloatArray, StartPrior
 from lunar_fg.graph.checks import check_pose
 from lunar_fg.graph.config import GraphConfig
-from lunar_fg.graph.descent import descend
+from lunar_fg.graph.descent import Descent, descend, named_landmark, values_without, without
 from lunar_fg.graph.factors import pose_key
 from lunar_fg.graph.incremental import IncrementalSmoother
 from lunar_fg.graph.keyframe import Keyframe, SmoothedTrajectory
 from lunar_fg.graph.landmarks import WholeGraph, map_point
 
 _ITERATIONS_FACTOR = 10
+_MOST_CULPRITS = 50
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +39,8 @@ class ConvergenceReport:
         Why it stopped.
     factors, landmarks
         Size of the graph.
+    landmarks_set_aside
+        Landmarks left out: they had no place in front of the cameras that saw them.
     """
 
     iterations: int
@@ -47,6 +50,7 @@ class ConvergenceReport:
     reason: str
     factors: int
     landmarks: int
+    landmarks_set_aside: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,17 +111,18 @@ def optimize_batch(
         for key, seen_from, point in new.landmarks:
             values.insert(key, map_point(initial.map_T_rover[seen_from], rover_T_camera, point))
         landmarks += len(new.landmarks)
-    end = descend(graph, values, _ITERATIONS_FACTOR * config.max_iterations)
+    end = descend(graph, values, _ITERATIONS_FACTOR * config.max_iterations, whole.unsound)
+    poses, covariances, aside = _marginals(end, len(keyframes))
     report = ConvergenceReport(
         end.iterations,
         end.cost_before,
         end.cost_after,
         end.converged,
         end.reason,
-        int(graph.size()),
-        landmarks,
+        int(end.graph.size()),
+        landmarks - len(aside),
+        len(aside),
     )
-    poses, covariances = _marginals(graph, end.values, len(keyframes))
     trajectory = SmoothedTrajectory(initial.index, initial.stamp_s, poses, covariances)
     return BatchResult(trajectory, report)
 
@@ -137,19 +142,24 @@ def _incremental(
     return smoother.trajectory()
 
 
-def _marginals(
-    graph: gtsam.NonlinearFactorGraph, optimum: gtsam.Values, count: int
-) -> tuple[FloatArray, FloatArray]:
-    """Poses and covariances; iSAM2 eliminates once by QR, which has no 4096 rule."""
+def _marginals(end: Descent, count: int) -> tuple[FloatArray, FloatArray, set[int]]:
+    """Poses, covariances, landmarks set aside; by QR, which has no 4096 rule."""
     params = gtsam.ISAM2Params()
     params.setFactorization("QR")
     params.enableRelinearization = False
-    isam = gtsam.ISAM2(params)
-    try:
-        isam.update(graph, optimum)
-        covariances = [np.asarray(isam.marginalCovariance(pose_key(i))) for i in range(count)]
-    except RuntimeError as error:
-        text = str(error).strip().splitlines()[0]
-        raise EstimationError(f"the covariances could not be computed ({text})") from error
+    graph, optimum, aside = end.graph, end.values, set(end.set_aside)
+    while True:
+        isam = gtsam.ISAM2(params)
+        try:
+            isam.update(graph, optimum)
+            covariances = [np.asarray(isam.marginalCovariance(pose_key(i))) for i in range(count)]
+            break
+        except RuntimeError as error:
+            culprit = named_landmark(error) - aside
+            if not culprit or len(aside) - len(end.set_aside) >= _MOST_CULPRITS:
+                text = str(error).strip().splitlines()[0]
+                raise EstimationError(f"the covariances could not be computed ({text})") from error
+            aside |= culprit
+            graph, optimum = without(graph, culprit), values_without(optimum, culprit)
     poses = [np.asarray(optimum.atPose3(pose_key(i)).matrix()) for i in range(count)]
-    return np.stack(poses), np.stack(covariances)
+    return np.stack(poses), np.stack(covariances), aside

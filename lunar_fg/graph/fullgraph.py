@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 
 from frontends.camera import StereoCamera
+from frontends.errors import EstimationError
 from frontends.measurements import FloatArray, StartPrior
 from lunar_fg.graph.config import GraphConfig
-from lunar_fg.graph.factors import pose_key
+from lunar_fg.graph.factors import between_factor, pose_key, start_factor
 from lunar_fg.graph.isam import GuardedIsam
 from lunar_fg.graph.keyframe import Entered, Keyframe
 from lunar_fg.graph.landmarks import WholeGraph, map_point
+
+_FRAMES_NAMED = 8
 
 
 class FullGraph:
@@ -35,36 +40,110 @@ class FullGraph:
         self._whole = WholeGraph(camera, rover_T_camera, start, config)
         # Cholesky is two to three times faster with landmarks; the guard turns to QR
         # where the 4096 rule stops it.
-        self._isam = GuardedIsam(qr=False)
+        self._isam = GuardedIsam(qr=False, unsound=self._whole.unsound)
         self._count = 0
+        self._motions: list[tuple[FloatArray, FloatArray]] = []
+        self._landmarks_aside = 0
+        self._frames_aside: list[int] = []
+        self._failures: list[str] = []
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the user should know about the solver."""
-        return self._isam.warnings
+        """What the user should know about the solver and about landmarks set aside."""
+        aside: tuple[str, ...] = ()
+        if self._landmarks_aside:
+            frames = ", ".join(map(str, self._frames_aside[:_FRAMES_NAMED]))
+            more = " ..." if len(self._frames_aside) > _FRAMES_NAMED else ""
+            aside = (
+                f"{self._landmarks_aside} landmarks had no place in front of the cameras that "
+                f"saw them and were set aside (keyframes {frames}{more})",
+            )
+        return (*self._isam.warnings, *aside, *self._failures)
 
     def add(self, keyframe: Keyframe) -> Entered:
-        """Take in a keyframe."""
+        """Take in a keyframe, if need be by its motion alone."""
         new = self._whole.add(keyframe)
         here = self._count
         values = gtsam.Values()
-        if new.previous_T_rover is None:
+        if new.previous_T_rover is None or new.covariance is None:
             pose = self._start.map_T_rover
         else:
             pose = self._isam.pose(pose_key(here - 1)) @ new.previous_T_rover
+            self._motions.append((new.previous_T_rover, new.covariance))
         values.insert(pose_key(here), gtsam.Pose3(pose))
         seen_from: dict[int, FloatArray] = {here: pose}
         for key, ordinal, point in new.landmarks:
             if ordinal not in seen_from:
                 seen_from[ordinal] = self._isam.pose(pose_key(ordinal))
             values.insert(key, map_point(seen_from[ordinal], self._rover_T_camera, point))
-        self._isam.update(new.factors, values, keyframe.index)
+        entered = new.entered
+        try:
+            self._set_aside(self._isam.update(new.factors, values, keyframe.index), keyframe.index)
+        except EstimationError as error:
+            self._failures.append(
+                f"keyframe {keyframe.index}: entered by its motion alone ({error})"
+            )
+            self._set_aside({key for key, _, _ in new.landmarks}, keyframe.index)
+            self._enter_by_motion(keyframe.index, pose)
+            entered = replace(entered, linked=0, used=("relative pose",))
         self._count += 1
-        return new.entered
+        self._inspect(new.seen, keyframe.index)
+        return entered
+
+    def _enter_by_motion(self, frame: int, pose: FloatArray) -> None:
+        here = self._count
+        factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        values.insert(pose_key(here), gtsam.Pose3(pose))
+        if here == 0:
+            factors.add(start_factor(pose_key(0), self._start))
+        else:
+            ends = (pose_key(here - 1), pose_key(here))
+            factors.add(between_factor(*ends, *self._motions[-1], f"keyframe {frame}"))
+        try:
+            self._set_aside(self._isam.update(factors, values, frame), frame)
+        except EstimationError as error:
+            self._failures.append(
+                f"keyframe {frame}: the graph was started anew from the motions alone ({error})"
+            )
+            self._start_anew()
+
+    def _start_anew(self) -> None:
+        """Rebuild without a landmark: start prior and measured motions, which always solve."""
+        self._isam = GuardedIsam(qr=True)
+        factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        factors.add(start_factor(pose_key(0), self._start))
+        pose = self._start.map_T_rover
+        values.insert(pose_key(0), gtsam.Pose3(pose))
+        for i, motion in enumerate(self._motions, start=1):
+            pose = pose @ motion[0]
+            values.insert(pose_key(i), gtsam.Pose3(pose))
+            factors.add(between_factor(pose_key(i - 1), pose_key(i), *motion, "restart"))
+        self._isam.update(factors, values, 0)
+        self._whole.set_aside(self._whole.live())
+
+    def _set_aside(self, landmarks: set[int], frame: int) -> None:
+        if landmarks:
+            self._whole.set_aside(landmarks)
+            self._landmarks_aside += len(landmarks)
+            self._frames_aside.append(frame)
+
+    def _inspect(self, seen: tuple[int, ...], frame: int) -> None:
+        """Take out landmarks just seen that the update threw behind the camera."""
+        estimate = self._isam.estimate(pose_key(self._count - 1), seen)
+        bad = self._whole.unsound(estimate, latest=1)
+        if bad:
+            self._isam.remove(bad)
+            self._set_aside(bad, frame)
 
     def finish(self) -> None:
         """Relinearise all until nothing moves."""
-        self._isam.settle()
+        try:
+            aside = self._isam.settle()
+        except EstimationError as error:
+            self._failures.append(f"the last smoothing was left out: {error}")
+            return
+        self._whole.set_aside(aside)
+        self._landmarks_aside += len(aside)
 
     def latest(self) -> tuple[FloatArray, FloatArray]:
         """Pose (4, 4) and covariance (6, 6) of the last keyframe."""

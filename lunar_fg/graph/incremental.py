@@ -21,7 +21,8 @@ from lunar_fg.graph.checks import check_covariance, check_pose
 from lunar_fg.graph.config import GraphConfig
 from lunar_fg.graph.fullgraph import FullGraph
 from lunar_fg.graph.keyframe import Entered, Keyframe, SmoothedTrajectory
-from lunar_fg.graph.posegraph import SegmentGraph
+from lunar_fg.graph.landmarks import in_rover_frames
+from lunar_fg.graph.posegraph import SegmentGraph, compose
 
 NO_VERTICAL_WARNING = (
     "nothing anchors the vertical (no attitude, no elevation model): roll, pitch and height "
@@ -84,12 +85,15 @@ class IncrementalSmoother:
         self._index: list[int] = []
         self._stamp_s: list[float] = []
         self._vertical = False
+        self._rover_T_camera = np.array(rover_T_camera, float)
+        self._before: tuple[FloatArray, FloatArray] | None = None
+        self._failures: list[str] = []
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """One line each for the run's warnings."""
         vertical = () if self._vertical or len(self._index) < 2 else (NO_VERTICAL_WARNING,)
-        return (*vertical, *self._graph.warnings)
+        return (*vertical, *self._graph.warnings, *self._failures)
 
     def add_keyframe(
         self,
@@ -105,9 +109,8 @@ class IncrementalSmoother:
         Raises
         ------
         InputError
-            A measurement cannot be used; nothing was entered.
-        EstimationError
-            The graph refused the keyframe; what was estimated before stays readable.
+            A measurement cannot be used; nothing was entered. Whatever else goes wrong
+            becomes a warning: the keyframe enters at least by its motion.
         """
         return self.add(Keyframe(index, stamp_s, observations, relative, odometry, tilt))
 
@@ -119,7 +122,7 @@ class IncrementalSmoother:
         self._index.append(keyframe.index)
         self._stamp_s.append(keyframe.stamp_s)
         self._vertical = self._vertical or keyframe.tilt is not None
-        pose, covariance = self._graph.latest()
+        pose, covariance = self._latest(keyframe)
         refused = (f"{entered.cut} landmark tracks: cut",) if entered.cut else ()
         relative = keyframe.relative
         if relative is not None and not relative.accepted:
@@ -133,6 +136,19 @@ class IncrementalSmoother:
             used=entered.used,
             refused=refused,
         )
+
+    def _latest(self, keyframe: Keyframe) -> tuple[FloatArray, FloatArray]:
+        """Ask the graph; where it has no covariance, carry the last estimate on."""
+        try:
+            latest = self._graph.latest()
+        except EstimationError as error:
+            motion = keyframe.motion(self._rover_T_camera)
+            if motion is None or self._before is None:
+                raise
+            self._failures.append(f"keyframe {keyframe.index}: {error}")
+            latest = compose(*self._before, *in_rover_frames(*motion, self._rover_T_camera))
+        self._before = latest
+        return latest
 
     def _check_order(self, keyframe: Keyframe) -> None:
         if not self._index:

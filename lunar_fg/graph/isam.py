@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import TypeVar
 
 import gtsam
@@ -10,10 +10,11 @@ import numpy as np
 
 from frontends.errors import EstimationError
 from frontends.measurements import FloatArray
-from lunar_fg.graph.descent import descend
+from lunar_fg.graph.descent import descend, named_landmark, values_without, without
 
 _RELINEARIZE_SKIP = 10
 _MOST_SETTLING_STEPS = 100
+_MOST_REPAIRS = 12
 # What pybind11 turns GTSAM's C++ exceptions into.
 _GTSAM_ERRORS = (RuntimeError, ValueError, IndexError, KeyError)
 
@@ -38,13 +39,24 @@ class GuardedIsam:
         Cholesky is faster with many landmarks.
     relinearize_threshold
         Change of a variable (rad, m) past which it is linearised again.
+    unsound
+        Names the landmarks that make a system with these values indeterminate; None where
+        there are no landmarks.
     """
 
-    def __init__(self, *, qr: bool, relinearize_threshold: float = 0.05) -> None:
+    def __init__(
+        self,
+        *,
+        qr: bool,
+        relinearize_threshold: float = 0.05,
+        unsound: Callable[[gtsam.Values], set[int]] | None = None,
+    ) -> None:
         self._qr = qr
         self._threshold = relinearize_threshold
+        self._unsound = unsound or (lambda _: set())
         self._factors = gtsam.NonlinearFactorGraph()
         self._initial = gtsam.Values()
+        self._holes = False
         self._isam = self._fresh()
         self._warnings: tuple[str, ...] = ()
 
@@ -63,6 +75,8 @@ class GuardedIsam:
 
     def _rebuild(self, values: gtsam.Values) -> None:
         isam = self._fresh()
+        if self._holes:
+            self._factors, self._holes = without(self._factors, set()), False
         try:
             if self._factors.size():
                 isam.update(self._factors, values)
@@ -76,8 +90,15 @@ class GuardedIsam:
             return
         self._isam = isam
 
-    def update(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, frame: int) -> None:
+    def update(
+        self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, frame: int
+    ) -> set[int]:
         """Add checked factors and the initial values of their new variables.
+
+        Returns
+        -------
+        set of int
+            Keys of landmarks that had to be taken out, with all their factors.
 
         Raises
         ------
@@ -88,13 +109,54 @@ class GuardedIsam:
             self._isam.update(factors, values, [], _ordered_last(factors))
             self._check_finite(values)
         except _GTSAM_ERRORS as error:
-            self._recover(factors, values, frame, error)
+            return self._recover(factors, values, frame, error)
         self._factors.push_back(factors)
         self._initial.insert(values)
+        return set()
+
+    def remove(self, landmarks: set[int]) -> None:
+        """Take landmarks out of the graph, with all their factors."""
+        gone = [
+            i
+            for i in range(self._factors.size())
+            if self._factors.exists(i) and not landmarks.isdisjoint(self._factors.at(i).keys())
+        ]
+        try:
+            self._isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), gone)
+        except _GTSAM_ERRORS:
+            estimate = self._linearization()
+            self._factors = without(self._factors, landmarks)
+            self._initial = values_without(self._initial, landmarks)
+            self._rebuild(values_without(estimate, landmarks))
+            return
+        # iSAM2 keeps an empty slot for a factor that has gone; so do the books.
+        self._holes = True
+        for i in gone:
+            self._factors.remove(i)
+        self._initial = values_without(self._initial, landmarks)
 
     def _check_finite(self, values: gtsam.Values) -> None:
         if not all(np.isfinite(self.pose(key)).all() for key in _pose_keys(values)):
             raise ValueError("the estimate is not finite")
+
+    def _linearization(self) -> gtsam.Values:
+        """Where iSAM2 stood, of the variables in the books, also after a failed update."""
+        values = gtsam.Values(self._initial)
+        try:
+            latest = self._isam.getLinearizationPoint()
+            found = gtsam.Values()
+            for key in values.keys():  # noqa: SIM118
+                if _is_pose(key):
+                    pose = latest.atPose3(key)
+                    finite = np.isfinite(pose.matrix()).all()
+                    found.insert(key, pose if finite else values.atPose3(key))
+                else:
+                    point = latest.atPoint3(key)
+                    finite = np.isfinite(point).all()
+                    found.insert(key, point if finite else values.atPoint3(key))
+        except _GTSAM_ERRORS:
+            return values
+        return found
 
     def _recover(
         self,
@@ -102,25 +164,36 @@ class GuardedIsam:
         values: gtsam.Values,
         frame: int,
         error: Exception,
-    ) -> None:
-        if not self._qr:
-            self._qr = True
-            whole, all_values = (
-                gtsam.NonlinearFactorGraph(self._factors),
-                gtsam.Values(self._initial),
-            )
-            whole.push_back(factors)
-            all_values.insert(values)
+    ) -> set[int]:
+        """Solve anew without the landmarks that are at fault, by QR if need be."""
+        before = self._linearization()
+        whole, start = without(self._factors, set()), gtsam.Values(before)
+        whole.push_back(factors)
+        start.insert(values)
+        aside: set[int] = set()
+        was_qr, reason = self._qr, error
+        for _ in range(_MOST_REPAIRS):
+            more = (self._unsound(start) | named_landmark(reason)) - aside
+            if more:
+                aside |= more
+                whole, start = without(whole, aside), values_without(start, aside)
+            elif not self._qr:
+                self._qr = True
+            else:
+                break
             isam = self._fresh()
             try:
-                isam.update(whole, all_values)
-            except _GTSAM_ERRORS:
-                self._qr = False
-            else:
-                self._isam = isam
+                isam.update(whole, start)
+            except _GTSAM_ERRORS as failure:
+                reason = failure
+                continue
+            self._isam, self._factors, self._initial = isam, whole, start
+            self._holes = False
+            if self._qr and not was_qr:
                 self._warnings = (QR_WARNING,)
-                return
-        self._rebuild(self._initial)
+            return aside
+        self._qr = was_qr
+        self._rebuild(before)
         raise EstimationError(
             f"keyframe {frame}: its measurements could not be solved and are left out "
             f"({_first_line(error)})"
@@ -129,6 +202,15 @@ class GuardedIsam:
     def pose(self, key: int) -> FloatArray:
         """Return the current estimate, (4, 4)."""
         return np.asarray(self._isam.calculateEstimatePose3(key).matrix())
+
+    def estimate(self, pose: int, landmarks: Iterable[int]) -> gtsam.Values:
+        """Return the current estimate of a pose and of those of `landmarks` in the graph."""
+        values = gtsam.Values()
+        values.insert(pose, self._isam.calculateEstimatePose3(pose))
+        for key in landmarks:
+            if self._isam.valueExists(key):
+                values.insert(key, self._isam.calculateEstimatePoint3(key))
+        return values
 
     def covariance(self, key: int) -> FloatArray:
         """Marginal covariance of a pose, (6, 6)."""
@@ -157,8 +239,13 @@ class GuardedIsam:
         self._rebuild(self._isam.calculateEstimate())
         return self._marginal(query)
 
-    def settle(self) -> None:
+    def settle(self) -> set[int]:
         """Relinearise everything until no pose moves: where the batch optimiser would end.
+
+        Returns
+        -------
+        set of int
+            Keys of landmarks that had to be taken out.
 
         Raises
         ------
@@ -166,10 +253,20 @@ class GuardedIsam:
             When the graph cannot be solved; the estimate stays as it was.
         """
         if not self._factors.size():
-            return
-        estimate = self._isam.calculateEstimate()
-        self._initial = descend(self._factors, estimate, _MOST_SETTLING_STEPS).values
-        self._rebuild(self._initial)
+            return set()
+        if self._holes:
+            self._rebuild(self._isam.calculateEstimate())
+        end = descend(
+            self._factors, self._isam.calculateEstimate(), _MOST_SETTLING_STEPS, self._unsound
+        )
+        isam, factors, initial = self._isam, self._factors, self._initial
+        self._factors, self._initial = end.graph, end.values
+        try:
+            self._rebuild(self._initial)
+        except EstimationError:
+            self._isam, self._factors, self._initial = isam, factors, initial
+            raise
+        return end.set_aside
 
 
 def _ordered_last(factors: gtsam.NonlinearFactorGraph) -> gtsam.KeyGroupMap | None:
@@ -179,13 +276,17 @@ def _ordered_last(factors: gtsam.NonlinearFactorGraph) -> gtsam.KeyGroupMap | No
     seen: with hundreds, poses after landmarks cost less (18 times on KITTI-00).
     """
     keys = list(factors.keyVector())
-    poses = [key for key in keys if gtsam.Symbol(key).chr() == _POSE]
+    poses = [key for key in keys if _is_pose(key)]
     if len(keys) - len(poses) < _MANY_LANDMARKS:
         return None
     last = gtsam.KeyGroupMap()
     for key in poses:
         last.insert2(key, 1)
     return last
+
+
+def _is_pose(key: int) -> bool:
+    return bool(gtsam.Symbol(key).chr() == _POSE)
 
 
 def _pose_keys(values: gtsam.Values) -> list[int]:

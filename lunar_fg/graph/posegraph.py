@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 
 from frontends.camera import StereoCamera
-from frontends.errors import EstimationError
+from frontends.errors import EstimationError, InputError
 from frontends.geometry import adjoint, inverse, se3_exp, se3_log
 from frontends.measurements import FloatArray, StartPrior
 from lunar_fg.graph.config import GraphConfig
@@ -44,11 +44,13 @@ class SegmentGraph:
         self._segment: Segment | None = None
         self._last: Keyframe | None = None
         self._solutions: list[SegmentSolution] = []
+        self._failures: list[str] = []
+        self._close_at = config.segment_keyframes
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the user should know about the solver."""
-        return self._isam.warnings
+        """What the user should know about the solver and about segments without landmarks."""
+        return (*self._isam.warnings, *self._failures)
 
     def add(self, keyframe: Keyframe) -> Entered:
         """Take in a keyframe; the segment closes when it is long enough."""
@@ -57,7 +59,7 @@ class SegmentGraph:
             return Entered(0, 0, ("start",), lost=False)
         entered = self._segment.add(keyframe)
         self._last = keyframe
-        if len(self._segment) > self._config.segment_keyframes:
+        if len(self._segment) > self._close_at:
             self.close()
         return entered
 
@@ -81,35 +83,45 @@ class SegmentGraph:
     def close(self) -> None:
         """Turn the open segment into one relative pose; its last keyframe opens the next.
 
-        A segment that cannot be solved becomes the chain of its motions.
-
-        Raises
-        ------
-        EstimationError
-            When iSAM2 refuses the relative pose; the segment stays open.
+        A segment that cannot be solved becomes the chain of its motions; one that iSAM2
+        refuses even so stays open and is tried again later. Both become warnings.
         """
         segment, last = self._segment, self._last
         if segment is None or last is None or len(segment) == 1:
             return
+        name = f"segment that ends at keyframe {last.index}"
         try:
             solution = segment.solve()
-        except EstimationError:
-            solution = segment.chained()
+            self._enter(solution, last, name)
+        except (EstimationError, InputError) as error:
+            try:
+                solution = segment.chained()
+                self._enter(solution, last, name)
+            except (EstimationError, InputError) as second:
+                self._failures.append(f"{name}: stays open ({second})")
+                self._close_at = len(segment) - 1 + self._config.segment_keyframes
+                return
+            self._failures.append(f"{name}: carried by its motions alone ({error})")
+        self._close_at = self._config.segment_keyframes
+        self._solutions.append(solution)
+        self._open(last)
+
+    def _enter(self, solution: SegmentSolution, last: Keyframe, name: str) -> None:
         first, second = pose_key(len(self._solutions)), pose_key(len(self._solutions) + 1)
         factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         motion, covariance = solution.first_T_last, solution.last_covariance
-        source = f"segment that ends at keyframe {last.index}"
-        factors.add(between_factor(first, second, motion, covariance, source))
+        factors.add(between_factor(first, second, motion, covariance, name))
         values.insert(second, gtsam.Pose3(self._isam.pose(first) @ motion))
         self._add_tilt(factors, last, second)
         self._isam.update(factors, values, last.index)
-        self._solutions.append(solution)
-        self._open(last)
 
     def finish(self) -> None:
         """Close the open segment and relinearise all."""
         self.close()
-        self._isam.settle()
+        try:
+            self._isam.settle()
+        except EstimationError as error:
+            self._failures.append(f"the last smoothing was left out: {error}")
 
     def latest(self) -> tuple[FloatArray, FloatArray]:
         """Pose (4, 4) and covariance (6, 6) of the last keyframe."""
