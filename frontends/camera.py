@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +60,7 @@ class StereoCamera:
     def __post_init__(self) -> None:
         for name in ("width", "height", "fx", "fy", "cx", "cy", "baseline_m"):
             value = getattr(self, name)
-            if not np.isfinite(value):
+            if not isinstance(value, Real) or not math.isfinite(value):
                 raise InputError(f"is {value}", source="camera", field=name, remedy="give a number")
             if name not in ("cx", "cy") and value <= 0:
                 raise InputError(

@@ -8,16 +8,23 @@ motion is eliminated and the information of many frame pairs added up.
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
+from annotated_types import Ge, Gt, Lt
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
 from frontends.camera import StereoCamera
 from frontends.measurements import StereoObservations
-from frontends.rectification import DISPARITY_TERMS, RectificationError, disparity_basis
+from frontends.rectification import (
+    DISPARITY_TERMS,
+    RectificationError,
+    disparity_basis,
+    within_range,
+)
 from frontends.relative import rigid_transform
 from frontends.reprojection import TwoViewProblem, solve_motion
 from frontends.tracking import common_landmarks
@@ -45,9 +52,9 @@ class DisparityCheckConfig:
     __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
 
     mode: Literal["apply", "report", "off"] = "apply"
-    frames: int = 30
-    false_alarm_probability: float = 1e-4
-    floor_px: float = 0.05
+    frames: Annotated[int, Ge(2)] = 30
+    false_alarm_probability: Annotated[float, Gt(0), Lt(1)] = 1e-4
+    floor_px: Annotated[float, Gt(0)] = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,13 +108,15 @@ class DisparityCheck:
     #: The partner of a frame is the oldest one that shares this part of its landmarks.
     _SHARED = 0.33
     _LEAST_SHARED = 30
+    _LONGEST_GAP = 10
     _KERNEL_SIGMA = 2.0
+    _MAX_DEPTH_SIGMA = 0.25
 
     def __init__(self, camera: StereoCamera, config: DisparityCheckConfig | None = None) -> None:
         self.camera = camera
         self.config = config or DisparityCheckConfig()
-        self._frames: list[StereoObservations] = []
-        self._pairs: list[tuple[int, int]] = []
+        self._frames: deque[StereoObservations] = deque(maxlen=self._LONGEST_GAP + 1)
+        self._pairs: list[tuple[StereoObservations, StereoObservations]] = []
 
     @property
     def ready(self) -> bool:
@@ -116,15 +125,16 @@ class DisparityCheck:
 
     def add(self, observations: StereoObservations) -> None:
         """Take in the next frame, with tracked ids and uncorrected disparities."""
+        known = set() if not self._frames else set(self._frames[-1].landmark_id.tolist())
+        tracked = len(known.intersection(observations.landmark_id.tolist()))
         self._frames.append(observations)
-        newest = len(self._frames) - 1
-        for older in range(max(0, newest - 10), newest):
-            a, b = self._common(older, newest)
-            if len(a) < max(self._LEAST_SHARED, self._SHARED * len(self._tracked(newest))):
+        for older in list(self._frames)[:-1]:
+            a, b = common_landmarks(older, observations)
+            if len(a) < max(self._LEAST_SHARED, self._SHARED * tracked):
                 continue
             flow = np.hypot(b.u_left - a.u_left, b.v - a.v)
             if float(np.median(flow)) >= self._LEAST_FLOW_PX:
-                self._pairs.append((older, newest))
+                self._pairs.append((a, b))
             return
 
     def finding(self) -> DisparityFinding | None:
@@ -138,7 +148,10 @@ class DisparityCheck:
         camera = self.camera
         side = np.array([0.0, camera.width - 1.0]), np.array([0.0, camera.height - 1.0])
         scale = disparity_basis(camera, *side).max(axis=0)
-        field, covariance = self._solve()
+        solution = self._solve()
+        if solution is None:
+            return None
+        field, covariance = solution
         border = field * scale
         spread = covariance * np.outer(scale, scale) + self.config.floor_px**2 * np.eye(len(field))
         distance2 = float(border @ np.linalg.solve(spread, border))
@@ -152,8 +165,8 @@ class DisparityCheck:
             len(self._pairs),
         )
 
-    def _solve(self) -> tuple[FloatArray, FloatArray]:
-        """Coefficients of the field over all pairs, and their covariance."""
+    def _solve(self) -> tuple[FloatArray, FloatArray] | None:
+        """Coefficients of the field over all pairs, and their covariance, where they tell."""
         field = np.zeros(DISPARITY_TERMS)
         motions: list[FloatArray | None] = [None] * len(self._pairs)
         covariance: FloatArray = np.zeros((DISPARITY_TERMS, DISPARITY_TERMS))
@@ -162,7 +175,7 @@ class DisparityCheck:
             gradient = np.zeros(DISPARITY_TERMS)
             ratio: list[float] = []
             for k, pair in enumerate(self._pairs):
-                problem = self._problem(pair, field)
+                problem = self._problem(*pair, field)
                 if len(problem) < self._LEAST_SHARED:
                     continue
                 start = motions[k]
@@ -175,17 +188,19 @@ class DisparityCheck:
                 information += whole[6:, 6:] - through @ whole[:6, 6:]
                 gradient += slope[6:] - through @ slope[:6]
                 ratio.append(float(np.median(chi2)) / chi2_distribution.median(df=3))
+            if not ratio or np.linalg.cond(information) > 1e12:
+                return None
             step = np.linalg.solve(information, gradient)
             field += step
-            # each frame enters several pairs: count it once
-            overlap = 2.0 * max(1.0, float(np.mean([b - a for a, b in self._pairs])))
-            inflation = max(1.0, float(np.median(ratio))) * overlap
+            inflation = max(1.0, float(np.median(ratio)))
             covariance = np.asarray(inflation * np.linalg.inv(information), dtype=np.float64)
             if float(np.abs(step).max()) < 1e-3:
                 break
         return field, covariance
 
-    def _problem(self, pair: tuple[int, int], field: FloatArray) -> TwoViewProblem:
+    def _problem(
+        self, a: StereoObservations, b: StereoObservations, field: FloatArray
+    ) -> TwoViewProblem:
         """Two-view problem with the disparity coefficients as further unknowns.
 
         With D = D_measured - basis c, the point moves by X / D per px of error, and the
@@ -193,18 +208,19 @@ class DisparityCheck:
         """
         camera = self.camera
         error = RectificationError(disparity_px=field)
-        a, b = self._common(*pair)
         basis_a = disparity_basis(camera, a.u_left, a.v)
         basis_b = disparity_basis(camera, b.u_left, b.v)
         true_a = a.disparity_px - basis_a @ field
         true_b = b.disparity_px - basis_b @ field
-        keep = (true_a > 0.5) & (true_b > 0.5)
-        corrected_a = error.correct(camera, a.select(keep))
+        limit = self._MAX_DEPTH_SIGMA
+        keep = within_range(true_a, a.sigma_disparity_px, limit)
+        keep &= within_range(true_b, b.sigma_disparity_px, limit)
+        corrected_a = error.correct(camera, a.select(keep), limit)
         base = TwoViewProblem.of_landmarks(
             camera,
             corrected_a.points_cam,
             corrected_a.points_covariance,
-            error.correct(camera, b.select(keep)),
+            error.correct(camera, b.select(keep), limit),
         )
         per_px = corrected_a.points_cam / true_a[keep][:, None]
         return TwoViewProblem(
@@ -217,16 +233,6 @@ class DisparityCheck:
             np.ascontiguousarray(per_px[:, :, None] * basis_a[keep][:, None, :]),
             np.ascontiguousarray(basis_b[keep]),
         )
-
-    def _tracked(self, frame: int) -> NDArray[np.int64]:
-        """Ids of a frame that the frame before knew."""
-        if frame == 0:
-            return np.zeros(0, dtype=np.int64)
-        return np.intersect1d(self._frames[frame].landmark_id, self._frames[frame - 1].landmark_id)
-
-    def _common(self, a: int, b: int) -> tuple[StereoObservations, StereoObservations]:
-        """Observations of the landmarks that both frames see, in the same order."""
-        return common_landmarks(self._frames[a], self._frames[b])
 
 
 def _first_motion(problem: TwoViewProblem, camera: StereoCamera) -> FloatArray:

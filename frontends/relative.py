@@ -7,9 +7,10 @@ reprojection in both images with a robust kernel. A failure is a result with a r
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from annotated_types import Ge, Gt, Lt
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
@@ -41,11 +42,11 @@ class RelativeConfig:
 
     __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
 
-    inlier_probability: float = 0.99
-    confidence: float = 0.9999
-    max_hypotheses: int = 500
-    min_inliers: int = 12
-    kernel_sigma: float = 2.0
+    inlier_probability: Annotated[float, Gt(0.5), Lt(1)] = 0.99
+    confidence: Annotated[float, Gt(0), Lt(1)] = 0.9999
+    max_hypotheses: Annotated[int, Ge(1)] = 500
+    min_inliers: Annotated[int, Ge(3)] = 12
+    kernel_sigma: Annotated[float, Gt(0)] = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +97,7 @@ class RelativePositioning:
         self.camera = camera
         self.config = config or RelativeConfig()
         self.seed = seed
+        self._needed = max(3, self.config.min_inliers)
         self._gate = float(chi2_distribution.ppf(self.config.inlier_probability, df=3))
 
     def estimate(
@@ -119,11 +121,11 @@ class RelativePositioning:
         Returns
         -------
         RelativePose
-            Between the left cameras. The covariance is the inverse of the final normal
-            matrix, scaled up where the residuals are larger than their sigmas say.
+            Between the left cameras. The covariance comes from the final Jacobian and the
+            residuals (`TwoViewProblem.motion_covariance`).
         """
         count = len(observations_b)
-        needed = self.config.min_inliers
+        needed = self._needed
         if count < needed:
             return _refuse(prediction, count, f"{count} tracked landmarks, {needed} are needed")
         problem = TwoViewProblem.of_landmarks(self.camera, points_a, covariance_a, observations_b)
@@ -144,12 +146,12 @@ class RelativePositioning:
         observations_b: StereoObservations,
         prediction: MotionPrediction,
     ) -> RelativePose:
-        """As `estimate`, for correspondences that are already known to be right."""
+        """As `estimate`, for known correspondences and a prediction near the solution."""
         count = len(observations_b)
-        if count < self.config.min_inliers:
+        if count < self._needed:
             return _refuse(prediction, count, f"{count} known correspondences are too few")
         problem = TwoViewProblem.of_landmarks(self.camera, points_a, covariance_a, observations_b)
-        start = rigid_transform(points_a, observations_b.points_cam)
+        start = inverse(prediction.a_T_b)
         everything = np.ones(count, dtype=np.bool_)
         return self._refine(problem, observations_b, start, everything, prediction)
 
@@ -209,17 +211,21 @@ class RelativePositioning:
     ) -> RelativePose:
         count = len(observations_b)
         sigma = self.config.kernel_sigma
-        b_T_a, information, _ = solve_motion(problem.select(inlier), b_T_a, kernel_sigma=sigma)
+        b_T_a, _, _ = solve_motion(problem.select(inlier), b_T_a, kernel_sigma=sigma)
+        # Residuals up to twice the gate's size still belong to the noise when that is larger
+        # than stated; what is farther off is wrong.
+        _, _, chi2 = problem.linearise(b_T_a, sigma)
+        plausible = problem.select(chi2 < 4.0 * self._gate)
+        if len(plausible) < self._needed:
+            return _refuse(prediction, count, "the motion does not hold after refinement")
+        b_T_a, _, _ = solve_motion(plausible, b_T_a, kernel_sigma=sigma)
         _, _, chi2 = problem.linearise(b_T_a, sigma)
         inlier = chi2 < self._gate
-        if inlier.sum() < self.config.min_inliers:
+        if inlier.sum() < self._needed:
             return _refuse(prediction, count, "the motion does not hold after refinement")
-        information = information[:6, :6]
-        spread = np.linalg.eigvalsh(information)
-        if not np.isfinite(spread).all() or spread[0] <= spread[-1] * 1e-14:
+        covariance_b_T_a = plausible.motion_covariance(b_T_a, sigma)
+        if covariance_b_T_a is None:
             return _refuse(prediction, count, "the landmarks do not fix all six motions")
-        inflation = max(1.0, float(np.median(chi2[inlier])) / chi2_distribution.median(df=3))
-        covariance_b_T_a = inflation * np.linalg.inv(information)
         # right perturbation of the inverse: Ad of b_T_a, the sign squares away
         turn = adjoint(b_T_a)
         covariance = turn @ covariance_b_T_a @ turn.T

@@ -9,6 +9,7 @@ for the rotation and little for the translation: the two-view maximum-likelihood
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,26 @@ FloatArray = NDArray[np.float64]
 
 #: Points nearer than this to the camera plane have no usable projection, m.
 _NEAREST_M = 1e-3
+#: Squared distance given to landmarks behind the camera: never an inlier, and finite, as
+#: the compiled kernel's arithmetic asks for.
+_FAR_OFF = 1e12
+#: Least variance left after elimination, px^2: rounding must not make it negative.
+_LEAST_VARIANCE = 1e-9
+
+
+class Part(IntEnum):
+    """Weights of the matrix that `TwoViewProblem.linearise` sums over the landmarks.
+
+    With m the Mahalanobis distance of a residual, w = 1 / (1 + m^2 / k^2) the Cauchy
+    weight, and the residual's three components taken as alike:
+    """
+
+    SOLVE = 0
+    """w: the iteration matrix."""
+    CURVATURE = 1
+    """w - 2 w^2 m^2 / (3 k^2): the mean second derivative of the cost."""
+    SCATTER = 2
+    """w^2 m^2 / 3: the covariance of its first derivative."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +114,7 @@ class TwoViewProblem:
         )
 
     def linearise(
-        self, b_T_a: FloatArray, kernel_sigma: float
+        self, b_T_a: FloatArray, kernel_sigma: float, *, part: Part = Part.SOLVE
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Weighted normal equations about a motion.
 
@@ -103,12 +124,14 @@ class TwoViewProblem:
             (4, 4); its right perturbation (rotation, translation) is the unknown.
         kernel_sigma
             Scale of the Cauchy kernel, in sigmas.
+        part
+            Which weights the first returned matrix is summed with.
 
         Returns
         -------
         information, gradient, chi2
             (6+K, 6+K), (6+K,), and (N,) squared Mahalanobis distances (3 degrees of
-            freedom; infinite behind the camera).
+            freedom; 1e12 behind the camera).
         """
         camera = self.camera
         return _normal_equations(
@@ -126,7 +149,22 @@ class TwoViewProblem:
             self.point_terms,
             self.disparity_terms,
             kernel_sigma,
+            int(part),
         )
+
+    def motion_covariance(self, b_T_a: FloatArray, kernel_sigma: float) -> FloatArray | None:
+        """Covariance of the solved motion, (6, 6), right perturbation of ``b_T_a``.
+
+        The sandwich of a robust estimate, A^-1 B A^-1: B holds the residuals as they
+        are, so noise larger than stated makes it larger. None when it is singular.
+        """
+        curvature = self.linearise(b_T_a, kernel_sigma, part=Part.CURVATURE)[0][:6, :6]
+        spread = np.linalg.eigvalsh(curvature)
+        if not np.isfinite(spread).all() or spread[0] <= spread[-1] * 1e-14:
+            return None
+        scatter = self.linearise(b_T_a, kernel_sigma, part=Part.SCATTER)[0][:6, :6]
+        half = np.linalg.inv(curvature)
+        return np.asarray(half @ scatter @ half)
 
 
 def solve_motion(
@@ -169,6 +207,7 @@ def _normal_equations(
     point_terms: FloatArray,
     disparity_terms: FloatArray,
     kernel_sigma: float,
+    part: int,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     n, extra = points.shape[0], point_terms.shape[2]
     size = 6 + extra
@@ -184,7 +223,7 @@ def _normal_equations(
         y = transform[1, 0] * px + transform[1, 1] * py + transform[1, 2] * pz + transform[1, 3]
         z = transform[2, 0] * px + transform[2, 1] * py + transform[2, 2] * pz + transform[2, 3]
         if z < _NEAREST_M:
-            chi2[i] = np.inf
+            chi2[i] = _FAR_OFF
             continue
         inverse_z = 1.0 / z
         u = fx * x * inverse_z
@@ -215,15 +254,20 @@ def _normal_equations(
         l00 = np.sqrt(s00)
         l10 = s01 / l00
         l20 = s02 / l00
-        l11 = np.sqrt(s11 - l10 * l10)
+        l11 = np.sqrt(max(s11 - l10 * l10, _LEAST_VARIANCE))
         l21 = (s12 - l20 * l10) / l11
-        l22 = np.sqrt(s22 - l20 * l20 - l21 * l21)
+        l22 = np.sqrt(max(s22 - l20 * l20 - l21 * l21, _LEAST_VARIANCE))
         w0 = r0 / l00
         w1 = (r1 - l10 * w0) / l11
         w2 = (r2 - l20 * w0 - l21 * w1) / l22
         distance2 = w0 * w0 + w1 * w1 + w2 * w2
         chi2[i] = distance2
         weight = 1.0 / (1.0 + distance2 / (kernel_sigma * kernel_sigma))
+        matrix_weight = weight
+        if part == 1:
+            matrix_weight -= 2.0 * weight * weight * distance2 / (3.0 * kernel_sigma**2)
+        elif part == 2:
+            matrix_weight = weight * weight * distance2 / 3.0
         for r in range(3):
             p0, p1, p2 = projection[r, 0], projection[r, 1], projection[r, 2]
             jacobian[r, 0] = p2 * py - p1 * pz
@@ -245,10 +289,12 @@ def _normal_equations(
             whitened[1, k] = (jacobian[1, k] - l10 * whitened[0, k]) / l11
             whitened[2, k] = (jacobian[2, k] - l20 * whitened[0, k] - l21 * whitened[1, k]) / l22
         for k in range(size):
-            g0, g1, g2 = weight * whitened[0, k], weight * whitened[1, k], weight * whitened[2, k]
-            gradient[k] += g0 * w0 + g1 * w1 + g2 * w2
+            g0, g1, g2 = whitened[0, k], whitened[1, k], whitened[2, k]
+            gradient[k] += weight * (g0 * w0 + g1 * w1 + g2 * w2)
             for m in range(k + 1):
-                information[k, m] += g0 * whitened[0, m] + g1 * whitened[1, m] + g2 * whitened[2, m]
+                information[k, m] += matrix_weight * (
+                    g0 * whitened[0, m] + g1 * whitened[1, m] + g2 * whitened[2, m]
+                )
     for k in range(size):
         for m in range(k):
             information[m, k] = information[k, m]

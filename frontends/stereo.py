@@ -4,17 +4,24 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import ClassVar, Protocol
+from typing import Annotated, ClassVar, Protocol
 
 import cv2
 import numpy as np
+from annotated_types import Ge, Gt, Le
 from numpy.typing import NDArray
 
 from frontends.camera import StereoCamera
 from frontends.errors import InputError
 from frontends.matching import Matches, SearchWindows, match_descriptors, match_in_windows
 from frontends.measurements import Image, StereoFrame, StereoObservations
-from frontends.rectification import RectificationError, observe, robust_fit, vertical_basis
+from frontends.rectification import (
+    RectificationError,
+    observe,
+    robust_fit,
+    vertical_basis,
+    within_range,
+)
 from frontends.surf import SURF, Keypoints
 
 FloatArray = NDArray[np.float64]
@@ -57,14 +64,14 @@ class StereoConfig:
 
     __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
 
-    hessian_threshold: float = 20.0
-    max_keypoints: int = 1500
-    band_px: float = 1.5
-    near_baselines: float = 2.0
-    max_depth_sigma: float = 0.25
-    border_px: float = 8.0
-    localisation_sigma: float = 0.06
-    stereo_localisation_sigma: float = 0.135
+    hessian_threshold: Annotated[float, Ge(0)] = 20.0
+    max_keypoints: Annotated[int, Ge(1)] = 1500
+    band_px: Annotated[float, Gt(0)] = 1.5
+    near_baselines: Annotated[float, Gt(0)] = 2.0
+    max_depth_sigma: Annotated[float, Gt(0), Le(1)] = 0.25
+    border_px: Annotated[float, Ge(0)] = 8.0
+    localisation_sigma: Annotated[float, Gt(0)] = 0.06
+    stereo_localisation_sigma: Annotated[float, Gt(0)] = 0.135
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +131,7 @@ class StereoPerception:
     _ENOUGH_PAIRS = 30
     #: The vertical offset is looked for within this share of the image height.
     _VERTICAL_SEARCH = 0.05
+    _BEYOND_INFINITY_PX = -3.0
     _LK_WINDOW = 15
 
     def __init__(
@@ -141,7 +149,6 @@ class StereoPerception:
             upright=True,
             max_keypoints=self.config.max_keypoints,
         )
-        self._threads = ThreadPoolExecutor(max_workers=2)
 
     def perceive(self, frame: StereoFrame) -> StereoFeatures:
         """Stereo landmarks of one rectified pair.
@@ -152,9 +159,10 @@ class StereoPerception:
             When the images do not fit the camera, or left and right look swapped.
         """
         self._check_size(frame)
-        (left, left_descriptors), (right, right_descriptors) = self._threads.map(
-            self._detector.detectAndCompute, (frame.left, frame.right)
-        )
+        with ThreadPoolExecutor(max_workers=2) as threads:
+            (left, left_descriptors), (right, right_descriptors) = threads.map(
+                self._detector.detectAndCompute, (frame.left, frame.right)
+            )
         if not self.vertical_measured:
             self._measure_vertical(left, left_descriptors, right, right_descriptors, frame)
         pairs = self._match_band(left, left_descriptors, right, right_descriptors)
@@ -167,7 +175,7 @@ class StereoPerception:
         )
         u, v = left_uv[:, 0], left_uv[:, 1]
         disparity = disparity - self.rectification.disparity_at(self.camera, u, v)
-        keep = disparity * self.config.max_depth_sigma > sigma_disparity
+        keep = within_range(disparity, sigma_disparity, self.config.max_depth_sigma)
         keep &= self.camera.contains(u, v, self.config.border_px)
         chosen = pairs.query[keep]
         observations = observe(
@@ -189,10 +197,6 @@ class StereoPerception:
             refined,
             epipolar_sigma,
         )
-
-    def close(self) -> None:
-        """Release the two detector threads."""
-        self._threads.shutdown()
 
     def _check_size(self, frame: StereoFrame) -> None:
         expected = (self.camera.height, self.camera.width)
@@ -224,10 +228,10 @@ class StereoPerception:
         coefficients, scale = robust_fit(basis, offset[near, 1])
         agree = np.abs(offset[near, 1] - basis @ coefficients) < 3.0 * scale
         disparity = offset[near, 0][agree]
-        if len(disparity) >= self._ENOUGH_PAIRS and np.mean(disparity < 0) > 0.5:
+        negative = float(np.mean(disparity < -1.0)) if len(disparity) else 0.0
+        if len(disparity) >= self._ENOUGH_PAIRS and negative > 0.5:
             raise InputError(
-                f"{np.mean(disparity < 0):.0%} of {len(disparity)} matches have a negative "
-                "disparity",
+                f"{negative:.0%} of {len(disparity)} matches have a negative disparity",
                 source=f"frame {frame.index}",
                 remedy="left and right look swapped: exchange them",
             )
@@ -241,11 +245,15 @@ class StereoPerception:
         right: Keypoints,
         right_descriptors: NDArray[np.float32],
     ) -> Matches:
-        """Match along the epipolar lines: equal v, disparity from 0 to the nearest depth."""
+        """Match along the epipolar lines: equal v, disparity from infinity to the nearest depth.
+
+        The search begins a little beyond infinity: noise puts half of the far points there.
+        """
         uv = left.xy.astype(np.float64)
-        widest = self.camera.fx / self.config.near_baselines
+        least = self._BEYOND_INFINITY_PX
+        widest = self.camera.fx / self.config.near_baselines - least
         windows = SearchWindows(
-            uv[:, 0] - 0.5 * widest,
+            uv[:, 0] - least - 0.5 * widest,
             uv[:, 1] - self.rectification.vertical_at(self.camera, uv[:, 0], uv[:, 1]),
             0.5 * widest,
             self.config.band_px,

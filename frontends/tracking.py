@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from annotated_types import Ge, Gt, Le
 from numpy.typing import NDArray
 
 from frontends.camera import StereoCamera
 from frontends.geometry import inverse, transform_points
 from frontends.matching import Matches, SearchWindows, match_in_windows
 from frontends.measurements import RelativePose, StereoObservations
+from frontends.rectification import observe
 from frontends.relative import MotionPrediction
 from frontends.stereo import StereoFeatures
 
@@ -42,12 +44,12 @@ class TrackingConfig:
 
     __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
 
-    search_fraction: float = 0.04
-    wide_search_fraction: float = 0.12
-    max_unseen: int = 2
-    ratio: float = 0.85
-    scale_change_sigma: float = 0.35
-    surface_slope: float = 0.4
+    search_fraction: Annotated[float, Gt(0), Le(1)] = 0.04
+    wide_search_fraction: Annotated[float, Gt(0), Le(1)] = 0.12
+    max_unseen: Annotated[int, Ge(0)] = 2
+    ratio: Annotated[float, Gt(0), Le(1)] = 0.85
+    scale_change_sigma: Annotated[float, Ge(0)] = 0.35
+    surface_slope: Annotated[float, Ge(0)] = 0.4
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,19 +200,17 @@ class LandmarkTracker:
         new = ids < 0
         ids[new] = self._next_id + np.arange(int(new.sum()))
         self._next_id += int(new.sum())
-        observations = replace(
-            features.observations,
-            landmark_id=ids,
-            sigma_px=sigma,
-            sigma_disparity_px=sigma_disparity,
-        )
+        seen = features.observations
         current = _Memory(
             ids,
             features.descriptors,
             features.laplacian,
-            observations.points_cam,
-            observations.points_covariance,
+            seen.points_cam,
+            seen.points_covariance,
             np.zeros(len(ids), dtype=np.int64),
+        )
+        observations = observe(
+            self.camera, ids, seen.u_left, seen.v, seen.disparity_px, sigma, sigma_disparity
         )
         older = self._carried(relative.a_T_b, ids)
         self._memory = current if older is None else current.joined(older)

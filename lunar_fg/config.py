@@ -29,7 +29,7 @@ class Config(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    seed: int = 0
+    seed: int = Field(default=0, ge=0)
     stereo: StereoConfig = Field(default_factory=StereoConfig)
     tracking: TrackingConfig = Field(default_factory=TrackingConfig)
     relative: RelativeConfig = Field(default_factory=RelativeConfig)

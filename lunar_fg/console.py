@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from rich.table import Table
@@ -27,28 +27,26 @@ def run_summary(name: str, metrics: Metrics, folder: Path) -> str:
     return f"{name}: {', '.join(parts)}; results in {folder}"
 
 
-def accuracy_table(rows: Mapping[str, Accuracy]) -> Table:
-    """Accuracy of one or more trajectories, one row each."""
+def accuracy_table(trajectories: Mapping[str, Accuracy]) -> Table:
+    """Accuracy of one or more trajectories, a column each."""
     table = Table(box=None, pad_edge=False)
     table.add_column("")
-    for title in ("length m", "ATE SE3 m", "ATE Sim3 m", "scale", "drift %", "deg/m"):
-        table.add_column(title, justify="right")
-    for title in ("RPE m", "RPE deg", "final m", "NEES"):
-        table.add_column(title, justify="right")
-    for name, accuracy in rows.items():
-        table.add_row(
-            name,
-            _cell(accuracy.distance_m, 1),
-            _cell(accuracy.ate_rmse_m.se3, 4),
-            _cell(accuracy.ate_rmse_m.sim3, 4),
-            _cell(accuracy.scale_sim3, 4),
-            _cell(accuracy.kitti.translation_percent, 2),
-            _cell(accuracy.kitti.rotation_deg_per_m, 4),
-            _cell(accuracy.rpe.translation_m, 4),
-            _cell(accuracy.rpe.rotation_deg, 3),
-            _cell(accuracy.final_error_m, 3),
-            _cell(accuracy.nees.mean, 1),
-        )
+    for name in trajectories:
+        table.add_column(name, justify="right")
+    rows: tuple[tuple[str, Callable[[Accuracy], float | None], int], ...] = (
+        ("length, m", lambda a: a.distance_m, 1),
+        ("ATE, SE3-aligned, m", lambda a: a.ate_rmse_m.se3, 4),
+        ("ATE, Sim3-aligned, m", lambda a: a.ate_rmse_m.sim3, 4),
+        ("scale (Sim3)", lambda a: a.scale_sim3, 4),
+        ("drift, %", lambda a: a.kitti.translation_percent, 2),
+        ("drift, deg/m", lambda a: a.kitti.rotation_deg_per_m, 4),
+        ("RPE, m", lambda a: a.rpe.translation_m, 4),
+        ("RPE, deg", lambda a: a.rpe.rotation_deg, 3),
+        ("final error, m", lambda a: a.final_error_m, 3),
+        ("NEES / dof", lambda a: a.nees.mean, 1),
+    )
+    for title, value, digits in rows:
+        table.add_row(title, *(_cell(value(a), digits) for a in trajectories.values()))
     return table
 
 

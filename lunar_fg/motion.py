@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from annotated_types import Ge, Le
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -23,6 +24,8 @@ from frontends.relative import MotionPrediction
 
 FloatArray = NDArray[np.float64]
 Frame = StereoFrame | UnusableFrame
+#: A 1-sigma or a share; finite, not negative.
+Sigma = Annotated[float, Ge(0), Le(1e6)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,17 +46,21 @@ class MotionConfig:
         Constant velocity: 1-sigma of the change of the step, as a share of the step.
     steady_sigma_m, steady_sigma_rad
         Constant velocity: 1-sigma that is there at any speed.
+    unknown_sigma_m, unknown_sigma_rad
+        1-sigma of a motion of which nothing is known.
     """
 
     __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
 
-    slip: float = 0.1
-    wheel_sigma_m: float = 0.005
-    heading_sigma: float = 0.1
-    tilt_rate_rad_per_m: float = 0.1
-    steady_sigma: float = 0.5
-    steady_sigma_m: float = 0.05
-    steady_sigma_rad: float = 0.05
+    slip: Sigma = 0.1
+    wheel_sigma_m: Sigma = 0.005
+    heading_sigma: Sigma = 0.1
+    tilt_rate_rad_per_m: Sigma = 0.1
+    steady_sigma: Sigma = 0.5
+    steady_sigma_m: Sigma = 0.05
+    steady_sigma_rad: Sigma = 0.05
+    unknown_sigma_m: Sigma = 1.0
+    unknown_sigma_rad: Sigma = 0.3
 
 
 class MotionModel:
@@ -71,6 +78,8 @@ class MotionModel:
         self.config = config or MotionConfig()
         self._camera_T_rover = inverse(rover_T_camera)
         self._last: RelativePose | None = None
+        self._moved = False
+        self._losses = 0
         self._attitude: Attitude | None = None
 
     @property
@@ -93,17 +102,23 @@ class MotionModel:
                 self._camera_T_rover @ odometry.a_T_b @ rover_T_camera,
                 turn @ odometry.covariance @ turn.T,
             )
-        last = np.eye(4) if self._last is None else self._last.a_T_b
-        step = float(np.linalg.norm(last[:3, 3]))
-        sigma_m = np.hypot(self.config.steady_sigma_m, self.config.steady_sigma * step)
-        sigmas = np.array([self.config.steady_sigma_rad] * 3 + [sigma_m] * 3)
-        return MotionPrediction(last, np.diag(sigmas**2))
+        config = self.config
+        if self._last is None or not self._moved:
+            sigmas = np.array([config.unknown_sigma_rad] * 3 + [config.unknown_sigma_m] * 3)
+            return MotionPrediction(np.eye(4), np.diag(sigmas**2))
+        # the longer nothing was measured, the less the last motion says
+        staleness = 1.0 + self._losses
+        step = float(np.linalg.norm(self._last.a_T_b[:3, 3]))
+        sigma_m = staleness * np.hypot(config.steady_sigma_m, config.steady_sigma * step)
+        sigmas = np.array([staleness * config.steady_sigma_rad] * 3 + [sigma_m] * 3)
+        return MotionPrediction(self._last.a_T_b, np.diag(sigmas**2))
 
     def update(self, frame: Frame, relative: RelativePose) -> None:
         """Remember the motion that was found."""
         self._last = relative
-        if frame.attitude is not None:
-            self._attitude = frame.attitude
+        self._moved = self._moved or relative.accepted
+        self._losses = 0 if relative.accepted else self._losses + 1
+        self._attitude = frame.attitude
 
 
 def tilt_of(frame: Frame) -> Tilt | None:

@@ -11,6 +11,7 @@ from lunar_fg.config import Config
 from lunar_fg.frontend import FrameReport, Frontend
 from lunar_fg.graph.incremental import IncrementalSmoother
 from lunar_fg.log import TraverseLog
+from lunar_fg.order import FrameOrder
 from lunar_fg.self_calibration import SelfCalibration
 from lunar_fg.stopwatch import Stopwatch
 from lunar_fg.trajectory import Trajectory
@@ -54,7 +55,10 @@ class Navigator:
         self._log = log
         self._start = start or StartPrior()
         self._frontend = Frontend(camera, self.rover_T_camera, self.config, self.stopwatch)
-        self._calibration = SelfCalibration(camera, self.config.disparity_check)
+        self._calibration = SelfCalibration(
+            camera, self.config.disparity_check, self.config.stereo.max_depth_sigma
+        )
+        self._order = FrameOrder(camera)
         self._smoother = self._new_smoother()
 
     def step(self, frame: StereoFrame | UnusableFrame) -> Estimate:
@@ -66,6 +70,7 @@ class Navigator:
             When the frame does not fit the camera or does not follow the one before;
             nothing that was estimated is lost.
         """
+        self._order.check(frame)
         with self.stopwatch.frame():
             keyframe = self._frontend.measure(frame)
             with self.stopwatch.stage("graph"):
@@ -76,6 +81,7 @@ class Navigator:
             if self._calibration.watch(keyframe):
                 with self.stopwatch.stage("self-calibration"):
                     estimate = self._recalibrate()
+        self._order.accept(frame)
         self.frames_lost += estimate.lost
         return estimate
 
@@ -84,7 +90,6 @@ class Navigator:
         if self._calibration.conclude():
             self._recalibrate()
         self._smoother.finish()
-        self._frontend.perception.close()
 
     def trajectory(self) -> Trajectory:
         """Return the smoothed pose and covariance of every frame so far."""
@@ -124,9 +129,12 @@ class Navigator:
         finding = self._calibration.finding
         assert finding is not None
         keyframes = self._calibration.corrected(finding.field_px, self._frontend.positioning)
-        self._frontend.adopt(finding.field_px, keyframes[-1])
-        self._smoother = self._new_smoother()
-        entries = [(keyframe, self._smoother.add(keyframe)) for keyframe in keyframes]
+        smoother = self._new_smoother()
+        entries = [(keyframe, smoother.add(keyframe)) for keyframe in keyframes]
         if self._log is not None:
             self._log.rewrite(entries)
+        self._smoother = smoother
+        self._frontend.adopt(finding.field_px, keyframes[-1])
+        self._calibration.forget()
+        self.frames_lost = sum(estimate.lost for _, estimate in entries[:-1])
         return entries[-1][1]

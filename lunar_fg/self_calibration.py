@@ -26,11 +26,19 @@ class SelfCalibration:
         The rectified pair.
     config
         Settings of the check.
+    max_depth_sigma
+        Useful range, see `frontends.stereo.StereoConfig`.
     """
 
-    def __init__(self, camera: StereoCamera, config: DisparityCheckConfig) -> None:
+    #: A rover that hardly moves is judged, or not, after so many times the frames asked for.
+    _PATIENCE = 10
+
+    def __init__(
+        self, camera: StereoCamera, config: DisparityCheckConfig, max_depth_sigma: float
+    ) -> None:
         self._camera = camera
         self._config = config
+        self._max_depth_sigma = max_depth_sigma
         self._check: DisparityCheck | None = (
             None if config.mode == "off" else DisparityCheck(camera, config)
         )
@@ -44,7 +52,8 @@ class SelfCalibration:
         self._keyframes.append(keyframe)
         if keyframe.observations is not None:
             self._check.add(keyframe.observations)
-        return self._check.ready and self.conclude()
+        patient = len(self._keyframes) < self._PATIENCE * self._config.frames
+        return (self._check.ready or not patient) and self.conclude()
 
     def conclude(self) -> bool:
         """Judge with the frames there are; True when a correction is to be applied."""
@@ -52,10 +61,12 @@ class SelfCalibration:
             return False
         self.finding = self._check.finding()
         self._check = None
-        if self._config.mode == "report" or self.finding is None:
+        apply = (
+            self._config.mode == "apply" and self.finding is not None and self.finding.significant
+        )
+        if not apply:
             self._keyframes = []
-            return False
-        return self.finding.significant
+        return apply
 
     def corrected(
         self, disparity_px: FloatArray, positioning: RelativePositioning
@@ -67,12 +78,17 @@ class SelfCalibration:
             observations = keyframe.observations
             relative = keyframe.relative
             if observations is not None:
-                observations = rectification.correct(self._camera, observations)
+                observations = rectification.correct(
+                    self._camera, observations, self._max_depth_sigma
+                )
                 before = result[-1].observations if result else None
                 if before is not None and relative is not None and relative.accepted:
                     a, b = common_landmarks(before, observations)
                     prediction = MotionPrediction(relative.a_T_b, relative.covariance)
                     relative = positioning.refine(a.points_cam, a.points_covariance, b, prediction)
             result.append(replace(keyframe, observations=observations, relative=relative))
-        self._keyframes = []
         return result
+
+    def forget(self) -> None:
+        """Let go of the keyframes, once the corrected ones are in use."""
+        self._keyframes = []

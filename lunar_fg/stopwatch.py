@@ -11,32 +11,34 @@ class Stopwatch:
     """Collects wall time by stage, one value a frame."""
 
     def __init__(self) -> None:
-        self._samples: dict[str, list[float]] = {}
-        self._frames = 0
+        self._frames: list[dict[str, float]] = []
+        self._current: dict[str, float] | None = None
 
     @contextmanager
     def frame(self) -> Iterator[None]:
-        """Time a whole frame, as stage ``total``; stages inside belong to it."""
-        self._frames += 1
-        with self.stage("total"):
-            yield
+        """Time a whole frame, as stage ``total``; a frame that fails is not counted."""
+        self._current = {}
+        try:
+            with self.stage("total"):
+                yield
+            self._frames.append(self._current)
+        finally:
+            self._current = None
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Time one stage of the current frame; several calls in one frame add up."""
+        """Time one stage of the current frame; several calls in one frame add up.
+
+        Outside of a frame nothing is kept.
+        """
         start = time.perf_counter()
-        try:
-            yield
-        finally:
-            samples = self._samples.setdefault(name, [])
-            samples.extend([float("nan")] * (self._frames - len(samples)))
+        yield
+        if self._current is not None:
             spent = 1e3 * (time.perf_counter() - start)
-            samples[-1] = spent if samples[-1] != samples[-1] else samples[-1] + spent
+            self._current[name] = self._current.get(name, 0.0) + spent
 
     def milliseconds(self) -> dict[str, list[float]]:
         """Milliseconds by stage, one value a frame, NaN where a stage did not run."""
+        names = dict.fromkeys(name for frame in self._frames for name in frame)
         gap = float("nan")
-        return {
-            name: samples + [gap] * (self._frames - len(samples))
-            for name, samples in self._samples.items()
-        }
+        return {name: [frame.get(name, gap) for frame in self._frames] for name in names}

@@ -13,6 +13,9 @@ from frontends.measurements import Verdict
 
 FloatArray = NDArray[np.float64]
 
+#: SURF does not match over larger changes of scale or stretch than 1 to 20.
+_LEAST_SCALE = 0.05
+
 
 @dataclass(frozen=True, slots=True)
 class ImageTransform:
@@ -149,12 +152,30 @@ def _judge(
     extent = np.maximum(np.ptp(second_xy, axis=0), 1.0)
     chance = min(1.0, np.pi * threshold_px**2 / float(extent[0] * extent[1]))
     needed = max(3 * minimal, minimal + _binomial_bound(len(first_xy), chance))
-    count = int(inlier.sum())
+    # many features of one image on a single place of the other are one inlier, not many
+    places = np.unique(np.round(second_xy[inlier] / (2.0 * threshold_px)), axis=0)
+    count = min(int(inlier.sum()), len(places))
+    if _collapses(first_xy[inlier], matrix):
+        return _refused(len(first_xy), "the transform that fits collapses the image")
     if count < needed:
         return _refused(
             len(first_xy), f"{count} inliers of {len(first_xy)} matches, {needed} are needed"
         )
     return ImageTransform(matrix, inlier, float(np.median(error[inlier])), Verdict.ACCEPTED)
+
+
+def _collapses(first_xy: FloatArray, matrix: FloatArray) -> bool:
+    """Whether the transform shrinks or flattens the neighbourhood of its inliers to nothing."""
+    if len(first_xy) == 0:
+        return True
+    x, y = np.median(first_xy, axis=0)
+    w = matrix[2] @ [x, y, 1.0]
+    if abs(w) < 1e-12:
+        return True
+    mapped = matrix[:2] @ [x, y, 1.0] / w
+    jacobian = (matrix[:2, :2] - np.outer(mapped, matrix[2, :2])) / w
+    largest, smallest = np.linalg.svd(jacobian, compute_uv=False)
+    return bool(smallest < _LEAST_SCALE or smallest < _LEAST_SCALE * largest)
 
 
 def _binomial_bound(count: int, probability: float) -> int:

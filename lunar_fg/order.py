@@ -1,0 +1,64 @@
+"""Frames come in order, each once, all from one camera."""
+
+from __future__ import annotations
+
+import math
+
+from frontends.camera import StereoCamera
+from frontends.errors import InputError
+from frontends.measurements import StereoFrame, UnusableFrame
+
+
+class FrameOrder:
+    """Refuses a frame that does not follow, before anything of it is taken in.
+
+    Parameters
+    ----------
+    camera
+        The camera that all frames must have.
+    """
+
+    def __init__(self, camera: StereoCamera) -> None:
+        self._camera = camera
+        self._stamp_s = -math.inf
+        self._index = -1
+
+    def check(self, frame: StereoFrame | UnusableFrame) -> None:
+        """Raise unless the frame can come next.
+
+        Raises
+        ------
+        InputError
+            A stamp that is no number, an index or stamp that does not increase, or another
+            camera.
+        """
+        source = f"frame {frame.index}"
+        if not math.isfinite(frame.stamp_s):
+            raise InputError(
+                f"is {frame.stamp_s}", source=source, field="stamp_s", remedy="give seconds"
+            )
+        if frame.index <= self._index:
+            raise InputError(
+                f"does not follow frame {self._index}",
+                source=source,
+                field="index",
+                remedy="give frames in order from 0 or above, each once",
+            )
+        if frame.stamp_s <= self._stamp_s:
+            raise InputError(
+                f"{frame.stamp_s} s does not follow {self._stamp_s} s",
+                source=source,
+                field="stamp_s",
+                remedy="time must run forward",
+            )
+        if isinstance(frame, StereoFrame) and frame.camera != self._camera:
+            raise InputError(
+                "is not the navigator's",
+                source=source,
+                field="camera",
+                remedy="start a new navigator for another camera",
+            )
+
+    def accept(self, frame: StereoFrame | UnusableFrame) -> None:
+        """Remember the frame as the newest one."""
+        self._index, self._stamp_s = frame.index, frame.stamp_s
