@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Annotated, ClassVar, Protocol
+from typing import Annotated, ClassVar
 
 import cv2
 import numpy as np
@@ -12,9 +12,10 @@ from annotated_types import Ge, Gt, Le
 from numpy.typing import NDArray
 
 from frontends.camera import StereoCamera
+from frontends.detector import FeatureDetector
 from frontends.errors import InputError
 from frontends.matching import Matches, SearchWindows, match_descriptors, match_in_windows
-from frontends.measurements import Image, StereoFrame, StereoObservations
+from frontends.measurements import StereoFrame, StereoObservations
 from frontends.rectification import (
     RectificationError,
     observe,
@@ -25,16 +26,6 @@ from frontends.rectification import (
 from frontends.surf import SURF, Keypoints
 
 FloatArray = NDArray[np.float64]
-
-
-class FeatureDetector(Protocol):
-    """What finds and describes features; `frontends.SURF` is one."""
-
-    def detectAndCompute(
-        self, image: Image, mask: NDArray[np.uint8] | None = None
-    ) -> tuple[Keypoints, NDArray[np.float32]]:
-        """Features of an image and their descriptors, (N, D) float32."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -46,7 +46,9 @@ def accuracy_table(trajectories: Mapping[str, Accuracy]) -> Table:
         ("NEES / dof", lambda a: a.nees.mean, 1),
     )
     for title, value, digits in rows:
-        table.add_row(title, *(_cell(value(a), digits) for a in trajectories.values()))
+        values = [value(accuracy) for accuracy in trajectories.values()]
+        if any(figure is not None for figure in values):
+            table.add_row(title, *(_cell(figure, digits) for figure in values))
     return table
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontends.camera import StereoCamera
+from frontends.detector import FeatureDetector
 from frontends.measurements import RelativePose, StereoFrame, UnusableFrame, Verdict
 from frontends.relative import MotionPrediction, RelativePositioning
 from frontends.stereo import StereoFeatures, StereoPerception
@@ -60,6 +61,8 @@ class Frontend:
         Settings.
     stopwatch
         Where the stages' times go.
+    detector
+        Feature detector; upright SURF by default.
     """
 
     def __init__(
@@ -68,8 +71,9 @@ class Frontend:
         rover_T_camera: FloatArray,
         config: Config,
         stopwatch: Stopwatch,
+        detector: FeatureDetector | None = None,
     ) -> None:
-        self.perception = StereoPerception(camera, config.stereo)
+        self.perception = StereoPerception(camera, config.stereo, detector)
         self.positioning = RelativePositioning(camera, config.relative, config.seed)
         self.reports: list[FrameReport] = []
         self.unusable: list[str] = []

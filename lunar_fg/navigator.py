@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontends.camera import StereoCamera, level_rover_T_camera
+from frontends.detector import FeatureDetector
 from frontends.measurements import Estimate, StartPrior, StereoFrame, UnusableFrame
 from lunar_fg.config import Config
 from lunar_fg.frontend import FrameReport, Frontend
@@ -37,6 +38,8 @@ class Navigator:
         Where the rover starts; the map's origin by default.
     log
         Where every measurement and estimate is kept, for `lunar_fg.runs.optimize`.
+    detector
+        Feature detector; upright SURF by default.
     """
 
     def __init__(
@@ -46,6 +49,7 @@ class Navigator:
         rover_T_camera: FloatArray | None = None,
         start: StartPrior | None = None,
         log: TraverseLog | None = None,
+        detector: FeatureDetector | None = None,
     ) -> None:
         self.camera = camera
         self.config = config or Config()
@@ -54,7 +58,9 @@ class Navigator:
         self.frames_lost = 0
         self._log = log
         self._start = start or StartPrior()
-        self._frontend = Frontend(camera, self.rover_T_camera, self.config, self.stopwatch)
+        self._frontend = Frontend(
+            camera, self.rover_T_camera, self.config, self.stopwatch, detector
+        )
         self._calibration = SelfCalibration(
             camera, self.config.disparity_check, self.config.stereo.max_depth_sigma
         )
