@@ -188,6 +188,13 @@ class RelativePose:
         """Whether the motion was measured, not only predicted."""
         return self.verdict is Verdict.ACCEPTED
 
+    @property
+    def wrong_match_rate(self) -> float:
+        """Share of the correspondences that disagree with the motion; NaN without any."""
+        if self.correspondences == 0:
+            return float("nan")
+        return 1.0 - len(self.inlier_ids) / self.correspondences
+
     def in_frames(self, body_T_sensor: FloatArray) -> RelativePose:
         """The same motion between bodies that carry the sensor at `body_T_sensor`."""
         rotate = adjoint(body_T_sensor)

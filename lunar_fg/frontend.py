@@ -35,6 +35,8 @@ class FrameReport:
         Stereo landmarks within the useful range.
     tracked, inliers
         Landmarks found again; those that agree with the motion.
+    wrong_match_rate
+        Share of the tracked landmarks that do not.
     """
 
     keypoints: int = 0
@@ -43,11 +45,7 @@ class FrameReport:
     landmarks: int = 0
     tracked: int = 0
     inliers: int = 0
-
-    @property
-    def wrong_match_rate(self) -> float:
-        """Share of the tracked landmarks that do not agree with the motion."""
-        return 1.0 - self.inliers / self.tracked if self.tracked else float("nan")
+    wrong_match_rate: float = float("nan")
 
 
 class Frontend:
@@ -147,6 +145,7 @@ def _report(features: StereoFeatures, relative: RelativePose) -> FrameReport:
         len(features),
         relative.correspondences,
         len(relative.inlier_ids),
+        relative.wrong_match_rate,
     )
 
 

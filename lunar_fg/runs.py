@@ -188,6 +188,6 @@ def _conclude(
 
 
 def _counts(reports: list[FrameReport]) -> dict[str, list[float]]:
-    """Counts by name, one a frame, with the wrong-match rate."""
-    rows = [{**asdict(report), "wrong_match_rate": report.wrong_match_rate} for report in reports]
+    """Counts by name, one a frame."""
+    rows = [asdict(report) for report in reports]
     return {name: [float(row[name]) for row in rows] for name in rows[0]} if rows else {}
