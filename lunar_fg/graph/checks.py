@@ -67,7 +67,8 @@ def check_observations(observations: StereoObservations, source: str) -> None:
                 "must be above 0", source=source, field=f"observations.{name}",
                 remedy="give 1-sigma values in pixels",
             )  # fmt: skip
-    if len(np.unique(observations.landmark_id)) != n:
+    ids = np.sort(observations.landmark_id)
+    if (ids[1:] == ids[:-1]).any():
         raise InputError(
             "holds a landmark twice", source=source, field="observations.landmark_id",
             remedy="one observation of a landmark in a frame",

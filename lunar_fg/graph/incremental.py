@@ -17,6 +17,7 @@ from frontends.measurements import (
     StereoObservations,
     Tilt,
 )
+from lunar_fg.graph import kernels
 from lunar_fg.graph.checks import check_covariance, check_pose
 from lunar_fg.graph.config import GraphConfig
 from lunar_fg.graph.fullgraph import FullGraph
@@ -80,6 +81,7 @@ class IncrementalSmoother:
                 "must all be above 0", source="start", field="sigmas",
                 remedy="1e-4 rad and 1e-3 m hold the start as good as fixed",
             )  # fmt: skip
+        kernels.warm()
         backend = SegmentGraph if config.landmarks == "segments" else FullGraph
         self._graph: _Graph = backend(camera, np.array(rover_T_camera, float), start, config)
         self._index: list[int] = []

@@ -11,11 +11,9 @@ from scipy.stats import chi2
 from frontends.camera import StereoCamera
 from frontends.geometry import adjoint, inverse
 from frontends.measurements import FloatArray, IntArray, StereoObservations
+from lunar_fg.graph import kernels
 
 BoolArray = NDArray[np.bool_]
-
-#: A point nearer to the camera plane than this share of its distance is not projected.
-_LEAST_DEPTH_SHARE = 1e-3
 
 
 def homogeneous(camera: StereoCamera, uuv: FloatArray) -> FloatArray:
@@ -31,43 +29,15 @@ def homogeneous(camera: StereoCamera, uuv: FloatArray) -> FloatArray:
     return result
 
 
-def project(camera: StereoCamera, points: FloatArray) -> FloatArray:
-    """Homogeneous points (M, 4) in camera axes to u_left, u_right, v (M, 3), px."""
-    u_left = camera.fx * points[:, 0] / points[:, 2] + camera.cx
-    u_right = u_left - camera.fx * camera.baseline_m * points[:, 3] / points[:, 2]
-    v = camera.fy * points[:, 1] / points[:, 2] + camera.cy
-    return np.stack([u_left, u_right, v], axis=-1)
-
-
-def projection_jacobian(camera: StereoCamera, points: FloatArray) -> FloatArray:
-    """Differentiate `project` by the homogeneous point, (M, 3, 4)."""
-    x, y, z, w = points.T
-    fb = camera.fx * camera.baseline_m
-    result = np.zeros((len(points), 3, 4))
-    result[:, 0, 0] = result[:, 1, 0] = camera.fx / z
-    result[:, 0, 2] = -camera.fx * x / z**2
-    result[:, 1, 2] = result[:, 0, 2] + fb * w / z**2
-    result[:, 1, 3] = -fb / z
-    result[:, 2, 1] = camera.fy / z
-    result[:, 2, 2] = -camera.fy * y / z**2
-    return result
-
-
-def pose_jacobian(points: FloatArray) -> FloatArray:
-    """Differentiate ``inverse(a_T_b exp(xi)) X`` by xi at ``X_b = points``, (M, 4, 6)."""
-    x, y, z, w = points.T
-    result = np.zeros((len(points), 4, 6))
-    result[:, 0, 1], result[:, 0, 2] = -z, y
-    result[:, 1, 0], result[:, 1, 2] = z, -x
-    result[:, 2, 0], result[:, 2, 1] = -y, x
-    result[:, 0, 3] = result[:, 1, 4] = result[:, 2, 5] = -w
-    return result
+def lens(camera: StereoCamera) -> FloatArray:
+    """The camera as the kernels take it."""
+    return np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.fx * camera.baseline_m])
 
 
 def in_front(points: FloatArray) -> BoolArray:
     """Whether homogeneous points (M, 4) lie before the camera plane, (M,)."""
     norm = np.linalg.norm(points[:, :3], axis=1)
-    return np.asarray(points[:, 2] > _LEAST_DEPTH_SHARE * norm)
+    return np.asarray(points[:, 2] > kernels.LEAST_DEPTH_SHARE * norm)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,51 +77,6 @@ class Sightings:
         return len(self.landmark)
 
 
-def two_view_distance(
-    camera: StereoCamera,
-    first: Sightings,
-    second: Sightings,
-    a_T_b: FloatArray,
-    covariance: FloatArray,
-) -> FloatArray:
-    """Squared Mahalanobis distance (3 dof) of second sightings from the first ones' prediction.
-
-    Parameters
-    ----------
-    camera
-        Of both views.
-    first, second
-        The same landmarks, row by row, in frames `a` and `b`.
-    a_T_b, covariance
-        The motion between the views and its 6x6 covariance, camera axes.
-
-    Returns
-    -------
-    FloatArray
-        (M,); infinite where the landmark would lie behind the second camera.
-    """
-    b_T_a = inverse(a_T_b)
-    points_b = homogeneous(camera, first.uuv) @ b_T_a.T
-    visible = in_front(points_b)
-    points_b = np.where(visible[:, None], points_b, [0.0, 0.0, 1.0, 0.0])
-    jacobian = projection_jacobian(camera, points_b)
-    by_pose = jacobian @ pose_jacobian(points_b)
-    fb = camera.fx * camera.baseline_m
-    by_pixel = np.zeros((4, 3))
-    by_pixel[0, 0], by_pixel[1, 2] = 1.0 / camera.fx, 1.0 / camera.fy
-    by_pixel[3, 0], by_pixel[3, 1] = 1.0 / fb, -1.0 / fb
-    by_first = jacobian @ (b_T_a @ by_pixel)
-    total = (
-        second.covariance
-        + by_first @ first.covariance @ by_first.transpose(0, 2, 1)
-        + by_pose @ covariance @ by_pose.transpose(0, 2, 1)
-    )
-    residual = second.uuv - project(camera, points_b)
-    solved = np.linalg.solve(total, residual[:, :, None])[:, :, 0]
-    distance = np.einsum("mi,mi->m", residual, solved)
-    return np.where(visible, distance, np.inf)
-
-
 @dataclass(frozen=True, slots=True)
 class Tracked:
     """Which track each sighting of a keyframe belongs to.
@@ -183,7 +108,7 @@ class TrackTable:
     """
 
     def __init__(self, camera: StereoCamera, gate_probability: float, max_gap: int) -> None:
-        self._camera = camera
+        self._lens = lens(camera)
         self._gate = float(chi2.ppf(gate_probability, 3))
         self._max_gap = max_gap
         self.clear()
@@ -197,23 +122,26 @@ class TrackTable:
         self._motions: list[tuple[FloatArray, FloatArray]] = []
 
     def _accept(self, old: IntArray, new: IntArray, sightings: Sightings) -> BoolArray:
-        accepted = np.zeros(len(new), dtype=bool)
         a_T_b, covariance = np.eye(4), np.zeros((6, 6))
-        for age, (step, step_covariance) in enumerate(reversed(self._motions), start=1):
+        oldest = int(self._age[old].max(initial=0))
+        inverses, covariances = np.empty((oldest + 1, 4, 4)), np.empty((oldest + 1, 6, 6))
+        for age, (step, step_covariance) in enumerate(reversed(self._motions[-oldest:]), start=1):
             carry = adjoint(inverse(a_T_b))
             covariance = carry @ step_covariance @ carry.T + covariance
             a_T_b = step @ a_T_b
-            rows = np.flatnonzero(self._age[old] == age)
-            if len(rows):
-                distance = two_view_distance(
-                    self._camera,
-                    self._sightings.take(old[rows]),
-                    sightings.take(new[rows]),
-                    a_T_b,
-                    covariance,
-                )
-                accepted[rows] = distance <= self._gate
-        return accepted
+            if age <= oldest:
+                inverses[age], covariances[age] = inverse(a_T_b), covariance
+        distance = kernels.distances(
+            self._lens,
+            self._sightings.uuv[old],
+            self._sightings.covariance[old],
+            sightings.uuv[new],
+            sightings.covariance[new],
+            self._age[old],
+            inverses,
+            covariances,
+        )
+        return np.asarray(distance <= self._gate)
 
     def add(
         self, sightings: Sightings, motion: tuple[FloatArray, FloatArray] | None, least: int | None
