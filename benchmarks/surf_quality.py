@@ -1,8 +1,9 @@
 """Quality of SURF beside OpenCV SURF's stored output, cv2.SIFT, ORB and AKAZE.
 
-Two groups, one metric for all: the strongest keypoints, mutual nearest neighbours, ratio 0.8.
+Three groups, one metric for all: the strongest keypoints, mutual nearest neighbours, ratio 0.8.
 
 * graf (known homographies): repeatability at 3 px, correct matches (3 px), matching score;
+* 20 synthetic warps of real images (rotation, scale, perspective, noise, exposure, blur), the same;
 * stereo pairs: matches within 1 px of the fundamental matrix, with 1,000 keypoints a side.
 
 Run as ``python benchmarks/surf_quality.py [--data DIR] [--json PATH]``.
@@ -12,19 +13,30 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from surf_features import (
+    KEYPOINTS,
+    Extractor,
+    Features,
+    Picture,
+    Report,
+    extractors,
+    match,
+    opencv,
+    ours,
+    read,
+    read_grey,
+    reference,
+)  # fmt: skip
+from surf_warps import WARPS, about_centre, degraded, resampled
 
-from frontends.surf import SURF
+__all__ = ["opencv", "ours", "read_grey", "reference"]  # for the tests
 
-GRAF_KEYPOINTS = 1500
 STEREO_KEYPOINTS = 1000
-RATIO = 0.8
 GRAF_RADIUS = 3.0  # px: a match or a repeated keypoint is right within this
 EPIPOLAR_RADIUS = 1.0  # px
 
@@ -41,98 +53,9 @@ STEREO = {
         for i in (0, 1)
     ],
 }  # fmt: skip
+WARPED = (STEREO["MSL"][0][0], STEREO["K10"][0][0], "moonranger-run1/left/000040.png",
+          STEREO["KITTI"][0][0])  # fmt: skip
 PLANETARY = ("MSL", "K10", "MoonRanger")
-
-
-@dataclass(frozen=True)
-class Features:
-    """Strongest-first positions (N, 2), sizes (N,) and descriptors (N, D)."""
-
-    xy: NDArray[np.float64]
-    size: NDArray[np.float64]
-    descriptors: NDArray[np.generic]
-
-    def top(self, n: int) -> Features:
-        """Strongest n."""
-        return Features(self.xy[:n], self.size[:n], self.descriptors[:n])
-
-
-Extractor = Callable[[Path, Path], Features]
-
-
-def read_grey(path: Path) -> NDArray[np.uint8]:
-    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    if image is None:
-        raise SystemExit(f"{path}: no such image")
-    return np.asarray(image, np.uint8)
-
-
-def ours(upright: bool) -> Extractor:
-    surf = SURF(hessian_threshold=20, upright=upright, max_keypoints=GRAF_KEYPOINTS)
-
-    def extract(data: Path, image: Path) -> Features:
-        keypoints, descriptors = surf.detectAndCompute(read_grey(data / image))
-        return Features(keypoints.xy.astype(float), keypoints.size.astype(float), descriptors)
-
-    return extract
-
-
-def reference(kind: str) -> Extractor:
-    """OpenCV SURF's stored keypoints and descriptors (threshold 20, 4 octaves, 2 layers)."""
-
-    def extract(data: Path, image: Path) -> Features:
-        name = str(image).replace("/", "__") + ".npz"
-        with np.load(data / "surf-reference" / name) as stored:
-            keypoints = stored[f"{kind}_keypoints"].astype(float)
-            descriptors = stored[f"{kind}_descriptors"].astype(np.float32)
-        return Features(keypoints[:, :2], keypoints[:, 2], descriptors)
-
-    return extract
-
-
-def opencv(detector: cv2.Feature2D, size_scale: float = 1.0) -> Extractor:
-    def extract(data: Path, image: Path) -> Features:
-        keypoints, descriptors = detector.detectAndCompute(read_grey(data / image), None)
-        order = np.argsort([-k.response for k in keypoints], kind="stable")
-        return Features(
-            np.array([keypoints[i].pt for i in order]),
-            np.array([keypoints[i].size for i in order]) * size_scale,
-            descriptors[order],
-        )
-
-    return extract
-
-
-def akaze() -> cv2.Feature2D:
-    # OpenCV 5 moved it to the contrib modules
-    module = cv2 if hasattr(cv2, "AKAZE_create") else cv2.xfeatures2d
-    return module.AKAZE_create(threshold=1e-4)
-
-
-def extractors() -> dict[str, Extractor]:
-    return {
-        "SURF": ours(upright=False),
-        "SURF upright": ours(upright=True),
-        "OpenCV SURF": reference("oriented"),
-        "OpenCV U-SURF": reference("upright"),
-        "cv2.SIFT": opencv(cv2.SIFT_create(GRAF_KEYPOINTS)),
-        "cv2.ORB": opencv(cv2.ORB_create(GRAF_KEYPOINTS)),
-        "cv2.AKAZE": opencv(akaze()),
-    }
-
-
-def match(a: Features, b: Features) -> NDArray[np.intp]:
-    """Mutual nearest neighbours that pass the ratio test, as (M, 2) indices."""
-    binary = a.descriptors.dtype == np.uint8
-    matcher = cv2.BFMatcher(cv2.NORM_HAMMING if binary else cv2.NORM_L2)
-    forward = matcher.knnMatch(a.descriptors, b.descriptors, 2)
-    backward = {m.queryIdx: m.trainIdx for m in matcher.match(b.descriptors, a.descriptors)}
-    pairs = [
-        (first.queryIdx, first.trainIdx)
-        for first, second in forward
-        if first.distance < RATIO * second.distance and backward[first.trainIdx] == first.queryIdx
-    ]
-    return np.array(pairs, np.intp).reshape(-1, 2)
 
 
 def warp(homography: NDArray[np.float64], xy: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -140,7 +63,7 @@ def warp(homography: NDArray[np.float64], xy: NDArray[np.float64]) -> NDArray[np
 
 
 def homography_scores(
-    a: Features, b: Features, homography: NDArray[np.float64], shape: tuple[int, int]
+    a: Features, b: Features, homography: NDArray[np.float64], shape: tuple[int, ...]
 ) -> tuple[float, int, float]:
     """Repeatability, number of correct matches, matching score (correct / common keypoints)."""
 
@@ -162,6 +85,27 @@ def homography_scores(
     error = np.linalg.norm(forward[pairs[:, 0]] - b.xy[pairs[:, 1]], axis=1)
     correct = int((error < GRAF_RADIUS).sum())
     return float(repeated.sum()) / common, correct, correct / common
+
+
+def warp_table(data: Path, extract: Extractor) -> dict[str, list[tuple[float, int, float]]]:
+    """Scores of the 20 warps by group; the four images take turns."""
+    rows: dict[str, list[tuple[float, int, float]]] = {}
+    first: dict[str, Features] = {}
+    for i, (group, inner, effect, strength) in enumerate(WARPS):
+        picture = read(data, WARPED[i % len(WARPED)])
+        if picture.name not in first:
+            first[picture.name] = extract(data, picture).top(KEYPOINTS)
+        homography = about_centre(picture.grey.shape, inner)
+        other = Picture(degraded(resampled(picture.grey, homography), effect, strength))
+        rows.setdefault(group, []).append(
+            homography_scores(
+                first[picture.name],
+                extract(data, other).top(KEYPOINTS),
+                homography,
+                picture.grey.shape,
+            )
+        )
+    return rows
 
 
 def undistorted(xy: NDArray[np.float64], camera: Path | None) -> NDArray[np.float64]:
@@ -193,14 +137,14 @@ def epipolar_distance(
 
 
 def graf_table(data: Path, extract: Extractor) -> list[tuple[float, int, float]]:
-    folder = Path("homography-pairs/graf")
-    first = extract(data, folder / "img1.png").top(GRAF_KEYPOINTS)
-    shape = read_grey(data / folder / "img1.png").shape
+    folder = "homography-pairs/graf"
+    picture = read(data, f"{folder}/img1.png")
+    first = extract(data, picture).top(KEYPOINTS)
     rows = []
     for i in range(2, 7):
         homography = np.loadtxt(data / folder / f"H1to{i}p")
-        other = extract(data, folder / f"img{i}.png").top(GRAF_KEYPOINTS)
-        rows.append(homography_scores(first, other, homography, (shape[0], shape[1])))
+        other = extract(data, read(data, f"{folder}/img{i}.png")).top(KEYPOINTS)
+        rows.append(homography_scores(first, other, homography, picture.grey.shape))
     return rows
 
 
@@ -220,8 +164,8 @@ def stereo_tables(
         for left, right in pairs:
             matched = {}
             for name, extract in chosen.items():
-                a = extract(data, Path(left)).top(STEREO_KEYPOINTS)
-                b = extract(data, Path(right)).top(STEREO_KEYPOINTS)
+                a = extract(data, read(data, left)).top(STEREO_KEYPOINTS)
+                b = extract(data, read(data, right)).top(STEREO_KEYPOINTS)
                 indices = match(a, b)
                 matched[name] = (
                     undistorted(a.xy[indices[:, 0]], left_camera),
@@ -245,6 +189,43 @@ def stereo_tables(
     return result
 
 
+def table_of_graf(report: Report, chosen: dict[str, Extractor], data: Path) -> None:
+    print("graf 1-2 .. 1-6: repeatability | correct matches | mean; matching score")
+    for name, extract in chosen.items():
+        rows = graf_table(data, extract)
+        report[name]["graf"] = rows
+        mean = np.mean(rows, axis=0)
+        print(
+            f"{name:14s} {' '.join(f'{row[0]:.2f}' for row in rows)}"
+            f" | {' '.join(f'{row[1]:4d}' for row in rows)}"
+            f" | {mean[0]:.3f} {mean[1]:6.1f} {mean[2]:.3f}"
+        )
+
+
+def table_of_stereo(report: Report, chosen: dict[str, Extractor], data: Path) -> None:
+    print("\nstereo: inliers < 1 px of 1,000 a side (median px)")
+    for name, groups in stereo_tables(data, chosen).items():
+        report[name]["stereo"] = groups
+        cells = [f"{group} {n:6.1f} ({px:.3f})" for group, (n, px) in groups.items()]
+        print(f"{name:14s} {'  '.join(cells)}")
+
+
+def table_of_warps(report: Report, chosen: dict[str, Extractor], data: Path) -> None:
+    print("\n20 warps: correct matches (repeatability) by group; all; matching score")
+    for name, extract in chosen.items():
+        if name.startswith("OpenCV"):
+            continue  # its output is stored for the images themselves only
+        groups = warp_table(data, extract)
+        report[name]["warps"] = groups
+        every = [row for rows in groups.values() for row in rows]
+        cells = [
+            f"{group} {sum(row[1] for row in rows):4d} ({np.mean([row[0] for row in rows]):.2f})"
+            for group, rows in groups.items()
+        ]
+        total, score = sum(row[1] for row in every), np.mean([row[2] for row in every])
+        print(f"{name:14s} {'  '.join(cells)}  {total:5d} {score:.3f}")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
@@ -254,28 +235,13 @@ def main() -> None:
     chosen = extractors()
     if arguments.only:
         chosen = {name: chosen[name] for name in arguments.only.split(",")}
-
     cv2.setRNGSeed(1)
-    report: dict[str, object] = {}
-    print("graf 1-2 .. 1-6: repeatability | correct matches | matching score; mean of five")
-    stereo = stereo_tables(arguments.data, chosen)
-    for name, extract in chosen.items():
-        rows = graf_table(arguments.data, extract)
-        mean = np.mean(rows, axis=0)
-        report[name] = {"graf": rows, "stereo": stereo[name]}
-        print(
-            f"{name:14s} "
-            + " ".join(f"{row[0]:.2f}" for row in rows)
-            + " | "
-            + " ".join(f"{row[1]:4d}" for row in rows)
-            + f" | mean {mean[0]:.3f} {mean[1]:6.1f} {mean[2]:.3f}"
-        )
-    print("\nstereo: inliers < 1 px of 1,000 a side (median px)")
-    for name, groups in stereo.items():
-        cells = [f"{group} {n:6.1f} ({px:.3f})" for group, (n, px) in groups.items()]
-        print(f"{name:14s} " + "  ".join(cells))
+    report: Report = {name: {} for name in chosen}
+    table_of_graf(report, chosen, arguments.data)
+    table_of_stereo(report, chosen, arguments.data)
+    table_of_warps(report, chosen, arguments.data)
     if arguments.json:
-        arguments.json.write_text(json.dumps(report, indent=1))
+        arguments.json.write_text(json.dumps(report, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -1,120 +1,78 @@
-"""Orientations and descriptors of all keypoints of one pyramid level."""
+"""Orientations and descriptors of an image's keypoints, each on its own pyramid level."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from frontends.surf._jit import kernel
-from frontends.surf.lattice import LATTICE_LANES, LINE_LENGTH
-from frontends.surf.orientation import BINS_LENGTH, orientation
-from frontends.surf.rotated import describe_rotated
-from frontends.surf.subregions import LANES
-from frontends.surf.upright import LINES, describe_upright
+from frontends.surf.accurate import describe_accurate, subregion_weights
+from frontends.surf.integral import PAD
+from frontends.surf.keypoints import Keypoints
+from frontends.surf.orientation import orient_level, sample_weights
+from frontends.surf.pyramid import Pyramid
+from frontends.surf.rotated import describe_rotated_level
+from frontends.surf.subregions import DESCRIPTOR_SIZE, window_weights
+from frontends.surf.upright import describe_upright_level
+
+_SMALLEST_SIZE = 12.0  # size at which a keypoint moves to the next level's image
+_LARGEST_SCALE = 3.6  # s in pixels of a level: what the padding has room for
+_SCALE_OF_SIZE = 1.2 / 9  # a filter of side L stands for a Gaussian of 1.2 / 9 L
+
+_WINDOW = window_weights()
+_SAMPLES = sample_weights()
+_SUBREGIONS = subregion_weights()
 
 
-@kernel
-def describe_level(
-    integral: NDArray[np.int32],
-    boxes: NDArray[np.uint32],
-    upright: bool,
-    assign: bool,
-    centres: NDArray[np.float32],
-    scales: NDArray[np.float32],
-    order: NDArray[np.int64],
-    window: NDArray[np.float32],
-    samples: NDArray[np.float32],
-    angles: NDArray[np.float32],
-    out: NDArray[np.float32],
-) -> None:
-    """Orientations and descriptors of the keypoints of one pyramid level.
+def describe(
+    pyramid: Pyramid, keypoints: Keypoints, *, upright: bool, accurate: bool, assign: bool
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Descriptors and angles.
 
     Parameters
     ----------
-    integral : ndarray int32
-        Padded integral image of the level.
-    boxes : ndarray uint32
-        From `box_pairs`; not read when `upright`.
+    pyramid : Pyramid
+    keypoints : Keypoints
+        In pixels of the pyramid's image.
     upright : bool
-        True: angle 0.
+        True: every angle is taken as 0.
+    accurate : bool
+        True: the descriptor of `accurate`.
     assign : bool
-        True: compute the orientations; False: `angles` holds them.
-    centres : ndarray (N, 2) float32
-        x, y in pixel edges of the padded level.
-    scales : ndarray (N,) float32
-        s in pixels of the level.
-    order : ndarray (M,) int64
-        Which keypoints, in the order to visit them.
-    window, samples : ndarray float32
-        From `window_weights` and `orientation.sample_weights`.
+        True: orientations are computed; False: the keypoints' own are used.
+
+    Returns
+    -------
+    descriptors : ndarray (N, 64) float32
     angles : ndarray (N,) float32
-        Radians; written if `assign`.
-    out : ndarray (N, 64) float32
     """
-    line = np.zeros(LINE_LENGTH, np.int32)
-    columns = np.zeros(LATTICE_LANES, np.uint64)
-    fractions = np.zeros(LATTICE_LANES, np.int32)
-    lattice = np.zeros((LINES, LATTICE_LANES + 8), np.int32)
-    index = np.zeros(LANES, np.uint64)
-    rows = np.zeros((2, LANES), np.float32)
-    pairs = np.zeros((2, LANES), np.uint32)
-    patch = np.zeros((21, LANES + 8), np.float32)
-    haar = np.zeros((2, 20, LANES), np.float32)
-    sums = np.zeros((4, LANES), np.float32)
-    directions = np.zeros((2, 13, 16), np.float32)
-    bin_of = np.zeros((13, 16), np.int32)
-    sectors = np.zeros((2, BINS_LENGTH), np.float32)
-    work = np.zeros((2, BINS_LENGTH), np.float32)
-    for i in order:
-        x = float(centres[i, 0])
-        y = float(centres[i, 1])
-        scale = float(scales[i])
-        if upright:
-            describe_upright(
-                integral,
-                x,
-                y,
-                scale,
-                window,
-                line,
-                columns,
-                fractions,
-                lattice,
-                haar,
-                sums,
-                out,
-                i,
+    descriptors = np.empty((len(keypoints), DESCRIPTOR_SIZE), np.float32)
+    angles = np.zeros_like(keypoints.angle) if assign else keypoints.angle.copy()
+    level_of = np.floor(np.log2(keypoints.size / _SMALLEST_SIZE))
+    level_of = np.clip(level_of, 0, pyramid.levels - 1).astype(np.intp)
+    # neighbours in the image after each other: their pixels are then in the cache
+    by_row = np.argsort(keypoints.xy[:, 1], kind="stable")
+    by_level = level_of[by_row]
+    for level in range(pyramid.levels):
+        order = by_row[by_level == level]
+        if not len(order):
+            continue
+        block = np.float32(1 << level)
+        edges = (keypoints.xy + np.float32(0.5)) / block
+        scales = keypoints.size * (np.float32(_SCALE_OF_SIZE) / block)
+        scales = np.minimum(scales, np.float32(_LARGEST_SCALE))
+        centres = edges + np.float32(PAD)
+        if upright and not accurate:
+            describe_upright_level(
+                pyramid.integral(level), centres, scales, order, _WINDOW, descriptors
             )
             continue
-        if assign:
-            angles[i] = orientation(
-                integral,
-                x,
-                y,
-                scale,
-                samples,
-                line,
-                columns,
-                fractions,
-                lattice,
-                directions,
-                bin_of,
-                sectors,
-                work,
-            )
-        describe_rotated(
-            boxes,
-            x,
-            y,
-            scale,
-            float(angles[i]),
-            window,
-            index,
-            rows,
-            pairs,
-            patch,
-            haar,
-            sums,
-            out,
-            i,
-        )
+        if assign and not upright:
+            orient_level(pyramid.integral(level), centres, scales, order, _SAMPLES, angles)
+        turns = np.zeros_like(angles) if upright else angles
+        if accurate:
+            image, pixels = pyramid.scaled(level), edges - np.float32(0.5)
+            describe_accurate(image, pixels, scales, order, turns, _SUBREGIONS, descriptors)
+        else:
+            boxes = pyramid.boxes(level)
+            describe_rotated_level(boxes, centres, scales, order, turns, _WINDOW, descriptors)
+    return descriptors, angles

@@ -11,8 +11,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from frontends.surf._jit import njit
-from frontends.surf.lattice import sample_lattice
+from frontends.surf._jit import kernel, njit
+from frontends.surf.lattice import LATTICE_LANES, LINE_LENGTH, sample_lattice
 
 LINES = 17  # lattice lines: samples at -6 .. 6, wavelets reaching 2 further
 _BINS = 72  # 5 degrees each
@@ -153,3 +153,45 @@ def orientation(
             best = k
     angle = math.atan2(sums[1, best], sums[0, best])
     return angle if angle >= 0 else angle + 2 * math.pi
+
+
+@kernel
+def orient_level(
+    integral: NDArray[np.int32],
+    centres: NDArray[np.float32],
+    scales: NDArray[np.float32],
+    order: NDArray[np.int64],
+    weights: NDArray[np.float32],
+    angles: NDArray[np.float32],
+) -> None:
+    """Orientations of the keypoints `order` of one pyramid level.
+
+    Parameters
+    ----------
+    integral : ndarray int32
+        Padded integral image of the level.
+    centres : ndarray (N, 2) float32
+        x, y in pixel edges of the padded level.
+    scales : ndarray (N,) float32
+        s in pixels of the level.
+    order : ndarray (M,) int64
+        Which keypoints, in the order to visit them.
+    weights : ndarray (13, 16) float32
+        From `sample_weights`.
+    angles : ndarray (N,) float32
+        Out: radians.
+    """
+    line = np.zeros(LINE_LENGTH, np.int32)
+    columns = np.zeros(LATTICE_LANES, np.uint64)
+    fractions = np.zeros(LATTICE_LANES, np.int32)
+    lattice = np.zeros((LINES + 5, LATTICE_LANES + 8), np.int32)
+    haar = np.zeros((2, 13, _LANES), np.float32)
+    bin_of = np.zeros((13, _LANES), np.int32)
+    sums = np.zeros((2, BINS_LENGTH), np.float32)
+    work = np.zeros((2, BINS_LENGTH), np.float32)
+    for i in order:
+        x, y, scale = float(centres[i, 0]), float(centres[i, 1]), float(scales[i])
+        angles[i] = orientation(
+            integral, x, y, scale, weights, line, columns, fractions, lattice, haar, bin_of, sums,
+            work,
+        )  # fmt: skip

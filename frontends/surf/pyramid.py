@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from frontends.surf.integral import half_image, integral_image, integral_shape
+from frontends.surf.integral import FRACTION_BITS, half_image, integral_image, integral_shape
 from frontends.surf.rotated import box_pairs
 
 
@@ -59,6 +59,15 @@ class Pyramid:
             half_image(self._images[-1], out)
             self._images.append(out)
         return self._images[level]
+
+    def scaled(self, level: int) -> NDArray[np.uint16]:
+        """Give the block means in grey*4, also at level 0."""
+        image = self.image(level)
+        if level > 0:
+            return image
+        out = self.buffers.get("scaled", shape=image.shape, dtype=np.uint16)
+        np.multiply(image, 1 << FRACTION_BITS, out=out, dtype=np.uint16)
+        return out
 
     def integral(self, level: int) -> NDArray[np.int32]:
         """Give the padded integral image in grey*4."""

@@ -120,3 +120,38 @@ def describe_rotated(
             haar[1, i, j] = falling + rising
     gather_bands(haar, weights, sums, out, which)
     normalise(out, which)
+
+
+@kernel
+def describe_rotated_level(
+    boxes: NDArray[np.uint32],
+    centres: NDArray[np.float32],
+    scales: NDArray[np.float32],
+    order: NDArray[np.int64],
+    angles: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    out: NDArray[np.float32],
+) -> None:
+    """Turned descriptors of the keypoints `order` of one pyramid level.
+
+    Parameters
+    ----------
+    boxes : ndarray uint32
+        From `box_pairs`.
+    centres, scales, order, weights, out : ndarray
+        As in `describe_upright_level`.
+    angles : ndarray (N,) float32
+        Radians.
+    """
+    index = np.zeros(LANES, np.uint64)
+    rows = np.zeros((2, LANES), np.float32)
+    pairs = np.zeros((2, LANES), np.uint32)
+    patch = np.zeros((21, LANES + 8), np.float32)
+    haar = np.zeros((2, 20, LANES), np.float32)
+    sums = np.zeros((4, LANES), np.float32)
+    for i in order:
+        x, y, scale = float(centres[i, 0]), float(centres[i, 1]), float(scales[i])
+        angle = float(angles[i])
+        describe_rotated(
+            boxes, x, y, scale, angle, weights, index, rows, pairs, patch, haar, sums, out, i
+        )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 from collections.abc import Iterator, Sequence
 
 import cv2
@@ -10,17 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontends.surf.checks import bad_parameter, checked_keypoints, checked_mask, grey_image
-from frontends.surf.describe import describe_level
+from frontends.surf.describe import describe
 from frontends.surf.detector import detect
-from frontends.surf.integral import PAD
 from frontends.surf.keypoints import Keypoints
-from frontends.surf.orientation import sample_weights
 from frontends.surf.pyramid import Buffers, Pyramid
-from frontends.surf.subregions import DESCRIPTOR_SIZE, window_weights
-from frontends.surf.warmup import warmup
-
-_SMALLEST_SIZE = 12.0  # size at which a keypoint moves to the next level's descriptor image
-_LARGEST_SCALE = 3.6  # s in pixels of a level: what the padding has room for
+from frontends.surf.subregions import DESCRIPTOR_SIZE
+from frontends.surf.warmup import load
 
 
 class SURF:
@@ -41,6 +37,10 @@ class SURF:
         distinctive.
     max_keypoints : int, optional
         Keep the strongest.
+    accurate : bool
+        True: for wide baselines and absolute matching, about six times the work. The image is
+        doubled first (one octave more below, as in the paper), and the descriptor takes exact
+        turned boxes in overlapping subregions. Its descriptors match only among themselves.
 
     Notes
     -----
@@ -60,6 +60,7 @@ class SURF:
         layers: int = 2,
         upright: bool = False,
         max_keypoints: int | None = None,
+        accurate: bool = False,
     ) -> None:
         if not (np.isfinite(hessian_threshold) and hessian_threshold >= 0):
             raise bad_parameter("hessian_threshold", hessian_threshold, "a finite number >= 0")
@@ -74,8 +75,7 @@ class SURF:
         self.layers = int(layers)
         self.upright = bool(upright)
         self.max_keypoints = max_keypoints
-        self._window = window_weights()
-        self._samples = sample_weights()
+        self.accurate = bool(accurate)
         self._spare: list[Buffers] = []  # pop and append are atomic
 
     def detectAndCompute(
@@ -104,17 +104,22 @@ class SURF:
         """
         grey = grey_image(image)
         allowed = checked_mask(mask, grey.shape)
+        if self.accurate and allowed is not None:
+            allowed = allowed.repeat(2, axis=0).repeat(2, axis=1)
         with self._pyramid(grey) as pyramid:
             keypoints = detect(
                 pyramid,
-                self.octaves,
+                self.octaves + self.accurate,
                 self.layers,
                 self.hessian_threshold,
                 self.max_keypoints,
                 allowed,
             )
-            descriptors, angles = self._describe(pyramid, keypoints, assign=True)
-        return _with_angle(keypoints, angles), descriptors
+            descriptors, angles = describe(
+                pyramid, keypoints, upright=self.upright, accurate=self.accurate, assign=True
+            )
+        keypoints = dataclasses.replace(keypoints, angle=angles)
+        return (_resized(keypoints, 0.5) if self.accurate else keypoints), descriptors
 
     def detect(self, image: NDArray[np.uint8], mask: NDArray[np.uint8] | None = None) -> Keypoints:
         """Keypoints only, with their orientation; see `detectAndCompute`."""
@@ -139,7 +144,13 @@ class SURF:
         grey = grey_image(image)
         keypoints = checked_keypoints(keypoints, grey.shape)
         with self._pyramid(grey) as pyramid:
-            return keypoints, self._describe(pyramid, keypoints, assign=False)[0]
+            return keypoints, describe(
+                pyramid,
+                _resized(keypoints, 2) if self.accurate else keypoints,
+                upright=self.upright,
+                accurate=self.accurate,
+                assign=False,
+            )[0]
 
     def descriptorSize(self) -> int:
         """Numbers in a descriptor."""
@@ -156,56 +167,28 @@ class SURF:
     @contextlib.contextmanager
     def _pyramid(self, grey: NDArray[np.uint8]) -> Iterator[Pyramid]:
         """Lend a set of buffers to one image; threads that run at the same time get their own."""
-        warmup()
+        load(self.upright, self.accurate)
         try:
             buffers = self._spare.pop()
         except IndexError:
             buffers = Buffers()
         try:
-            yield Pyramid(grey, buffers)
+            yield Pyramid(self._working_image(grey), buffers)
         finally:
             self._spare.append(buffers)
 
-    def _describe(
-        self, pyramid: Pyramid, keypoints: Keypoints, *, assign: bool
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Descriptors and angles; the angles are computed if `assign`."""
-        descriptors = np.empty((len(keypoints), DESCRIPTOR_SIZE), np.float32)
-        angles = np.zeros_like(keypoints.angle) if assign else keypoints.angle.copy()
-        level_of = np.floor(np.log2(keypoints.size / _SMALLEST_SIZE))
-        level_of = np.clip(level_of, 0, pyramid.levels - 1).astype(np.intp)
-        for level in np.unique(level_of):
-            chosen = np.flatnonzero(level_of == level)
-            # neighbours in the image after each other: their pixels are then in the cache
-            chosen = chosen[np.argsort(keypoints.xy[chosen, 1], kind="stable")]
-            block = np.float32(1 << int(level))
-            describe_level(
-                pyramid.integral(int(level)),
-                _NO_BOXES if self.upright else pyramid.boxes(int(level)),
-                self.upright,
-                assign,
-                (keypoints.xy + np.float32(0.5)) / block + np.float32(PAD),
-                np.minimum(
-                    keypoints.size * np.float32(1.2 / 9) / block, np.float32(_LARGEST_SCALE)
-                ),
-                chosen,
-                self._window,
-                self._samples,
-                angles,
-                descriptors,
-            )
-        return descriptors, angles
+    def _working_image(self, grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Give the image features are looked for in: twice the size in accurate mode."""
+        if not self.accurate:
+            return grey
+        return np.asarray(cv2.resize(grey, None, fx=2, fy=2), np.uint8)
 
 
-_NO_BOXES = np.zeros((1, 1), np.uint32)
-
-
-def _with_angle(keypoints: Keypoints, angles: NDArray[np.float32]) -> Keypoints:
-    return Keypoints(
-        keypoints.xy,
-        keypoints.size,
-        angles,
-        keypoints.response,
-        keypoints.octave,
-        keypoints.laplacian,
+def _resized(keypoints: Keypoints, factor: float) -> Keypoints:
+    """Keypoints of the image resized by a factor; pixel centres are at integers."""
+    return dataclasses.replace(
+        keypoints,
+        xy=(keypoints.xy + np.float32(0.5)) * np.float32(factor) - np.float32(0.5),
+        size=keypoints.size * np.float32(factor),
+        octave=keypoints.octave + round(np.log2(factor)),
     )

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from frontends.surf._jit import njit
-from frontends.surf.lattice import sample_lattice
+from frontends.surf._jit import kernel, njit
+from frontends.surf.lattice import LATTICE_LANES, LINE_LENGTH, sample_lattice
 from frontends.surf.subregions import LANES, gather_bands, normalise
 
 LINES = 22  # of the lattice
@@ -66,3 +66,41 @@ def describe_upright(
             haar[1, i, j] = np.float32(np.int32(bottom - top))
     gather_bands(haar, weights, sums, out, which)
     normalise(out, which)
+
+
+@kernel
+def describe_upright_level(
+    integral: NDArray[np.int32],
+    centres: NDArray[np.float32],
+    scales: NDArray[np.float32],
+    order: NDArray[np.int64],
+    weights: NDArray[np.float32],
+    out: NDArray[np.float32],
+) -> None:
+    """Upright descriptors of the keypoints `order` of one pyramid level.
+
+    Parameters
+    ----------
+    integral : ndarray int32
+        Padded integral image of the level.
+    centres : ndarray (N, 2) float32
+        x, y in pixel edges of the padded level.
+    scales : ndarray (N,) float32
+        s in pixels of the level.
+    order : ndarray (M,) int64
+        Which keypoints, in the order to visit them.
+    weights : ndarray (24,) float32
+        From `window_weights`.
+    out : ndarray (N, 64) float32
+    """
+    line = np.zeros(LINE_LENGTH, np.int32)
+    columns = np.zeros(LATTICE_LANES, np.uint64)
+    fractions = np.zeros(LATTICE_LANES, np.int32)
+    lattice = np.zeros((LINES, LATTICE_LANES + 8), np.int32)
+    haar = np.zeros((2, 20, LANES), np.float32)
+    sums = np.zeros((4, LANES), np.float32)
+    for i in order:
+        x, y, scale = float(centres[i, 0]), float(centres[i, 1]), float(scales[i])
+        describe_upright(
+            integral, x, y, scale, weights, line, columns, fractions, lattice, haar, sums, out, i
+        )

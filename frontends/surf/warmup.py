@@ -1,17 +1,22 @@
-"""Compile or load every kernel, once a process."""
+"""Compile or load the kernels, once a process; a detector loads only those it calls."""
 
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 
 from frontends.surf._jit import load_kernels
-from frontends.surf.describe import describe_level
+from frontends.surf.accurate import describe_accurate
 from frontends.surf.integral import halve, integrate
 from frontends.surf.maxima import detect_pair
+from frontends.surf.orientation import orient_level
 from frontends.surf.refinement import refine_all
-from frontends.surf.rotated import box_pairs
+from frontends.surf.rotated import box_pairs, describe_rotated_level
+from frontends.surf.upright import describe_upright_level
 
-_KERNELS = (
+_Kernels = tuple[tuple[Callable[..., object], str], ...]
+
+_COMMON: _Kernels = (
     (halve, "void(uint8[:,::1], int64, uint16[:,::1])"),
     (halve, "void(uint16[:,::1], int64, uint16[:,::1])"),
     (integrate, "void(uint8[:,::1], int64, int32[:,::1])"),
@@ -25,13 +30,53 @@ _KERNELS = (
         refine_all,
         "int64(int32[:,::1], int64, int32[:,::1], float32[:,::1], int64[::1], float32[:,::1])",
     ),
-    (box_pairs, "void(int32[:,::1], uint32[:,::1])"),
+)
+_UPRIGHT: _Kernels = (
     (
-        describe_level,
-        "void(int32[:,::1], uint32[:,::1], boolean, boolean, float32[:,::1], float32[::1],"
-        " int64[::1], float32[::1], float32[:,::1], float32[::1], float32[:,::1])",
+        describe_upright_level,
+        "void(int32[:,::1], float32[:,::1], float32[::1], int64[::1], float32[::1],"
+        " float32[:,::1])",
     ),
 )
+_ORIENT: _Kernels = (
+    (
+        orient_level,
+        "void(int32[:,::1], float32[:,::1], float32[::1], int64[::1], float32[:,::1],"
+        " float32[::1])",
+    ),
+)
+_ROTATED: _Kernels = (
+    (box_pairs, "void(int32[:,::1], uint32[:,::1])"),
+    (
+        describe_rotated_level,
+        "void(uint32[:,::1], float32[:,::1], float32[::1], int64[::1], float32[::1],"
+        " float32[::1], float32[:,::1])",
+    ),
+)
+_ACCURATE: _Kernels = (
+    (
+        describe_accurate,
+        "void(uint16[:,::1], float32[:,::1], float32[::1], int64[::1], float32[::1],"
+        " float32[:,::1], float32[:,::1])",
+    ),
+)
+
+
+@functools.cache
+def load(upright: bool, accurate: bool) -> float:
+    """Load the kernels of one kind of detector; later calls do nothing.
+
+    Returns
+    -------
+    float
+        Seconds the first call of this process took.
+    """
+    kernels = _COMMON
+    if not upright:
+        kernels += _ORIENT
+    if accurate:
+        return load_kernels(kernels + _ACCURATE)
+    return load_kernels(kernels + (_UPRIGHT if upright else _ROTATED))
 
 
 @functools.cache
@@ -43,4 +88,4 @@ def warmup() -> float:
     float
         Seconds the first call of this process took.
     """
-    return load_kernels(_KERNELS)
+    return load_kernels(_COMMON + _UPRIGHT + _ORIENT + _ROTATED + _ACCURATE)

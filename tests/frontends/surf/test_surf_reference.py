@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
+import importlib
 from pathlib import Path
 from types import ModuleType
 
@@ -17,13 +16,11 @@ MSL = "msl-navcam-pair/NLB_524534514EDR_F0562034NCAM00280M_.jpeg"
 
 @pytest.fixture(scope="module")
 def quality() -> ModuleType:
-    path = Path(__file__).resolve().parents[3] / "benchmarks" / "surf_quality.py"
-    spec = importlib.util.spec_from_file_location("surf_quality", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["surf_quality"] = module
-    spec.loader.exec_module(module)
+    folder = Path(__file__).resolve().parents[3] / "benchmarks"
+    monkeypatch = pytest.MonkeyPatch()
+    monkeypatch.syspath_prepend(folder)
+    module = importlib.import_module("surf_quality")
+    monkeypatch.undo()
     return module
 
 
@@ -77,3 +74,11 @@ def test_stereo_is_at_least_opencvs(shared_data: Path, quality: ModuleType) -> N
             assert ours[group][1] < theirs[group][1] + 0.04, (suffix, group)
         planetary = [ours[group][0] / theirs[group][0] for group in quality.PLANETARY]
         assert np.mean(planetary) > 1.03, (suffix, planetary)
+
+
+def test_accurate_mode_matches_as_many_as_sift(shared_data: Path, quality: ModuleType) -> None:
+    accurate = quality.graf_table(shared_data, quality.ours(accurate=True))
+    sift = quality.graf_table(
+        shared_data, quality.opencv(quality.cv2.SIFT_create(quality.KEYPOINTS))
+    )
+    assert sum(row[1] for row in accurate) >= 0.95 * sum(row[1] for row in sift)
