@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
 from frontends.camera import StereoCamera
-from frontends.geometry import adjoint, inverse, pose, transform_points
+from frontends.geometry import adjoint, inverse, transform_points
 from frontends.measurements import RelativePose, StereoObservations, Verdict
-from frontends.reprojection import TwoViewProblem, solve_motion
+from frontends.reprojection import Part, TwoViewProblem, solve_motion
+from frontends.surf._jit import njit
 
 FloatArray = NDArray[np.float64]
 
@@ -70,11 +71,25 @@ def rigid_transform(points_a: FloatArray, points_b: FloatArray) -> FloatArray:
     FloatArray
         ``b_T_a``, (4, 4): ``points_b ~ R points_a + t``.
     """
-    mean_a, mean_b = points_a.mean(axis=0), points_b.mean(axis=0)
-    u, _, vt = np.linalg.svd((points_a - mean_a).T @ (points_b - mean_b))
-    sign = np.diag([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))])
-    rotation = vt.T @ sign @ u.T
-    return pose(rotation, mean_b - rotation @ mean_a)
+    return _rigid(np.ascontiguousarray(points_a), np.ascontiguousarray(points_b))
+
+
+@njit
+def _rigid(points_a: FloatArray, points_b: FloatArray) -> FloatArray:
+    """Kabsch: the rotation is V diag(1, 1, +-1) U^T of the points' cross-covariance."""
+    count = len(points_a)
+    mean_a, mean_b = np.zeros(3), np.zeros(3)
+    for i in range(count):
+        mean_a += points_a[i] / count
+        mean_b += points_b[i] / count
+    u, _, vt = np.linalg.svd((points_a - mean_a).T.copy() @ (points_b - mean_b))
+    if np.linalg.det(u) * np.linalg.det(vt) < 0.0:
+        vt[2] = -vt[2]
+    rotation = vt.T.copy() @ u.T.copy()
+    b_T_a = np.eye(4)
+    b_T_a[:3, :3] = rotation
+    b_T_a[:3, 3] = mean_b - rotation @ mean_a
+    return b_T_a
 
 
 class RelativePositioning:
@@ -198,7 +213,7 @@ class RelativePositioning:
         return best, inlier
 
     def _score(self, problem: TwoViewProblem, b_T_a: FloatArray) -> tuple[float, NDArray[np.bool_]]:
-        _, _, chi2 = problem.linearise(b_T_a, self.config.kernel_sigma)
+        chi2 = problem.linearise(b_T_a, self.config.kernel_sigma, part=Part.DISTANCES)[2]
         return float(np.minimum(chi2, self._gate).sum()), chi2 < self._gate
 
     def _refine(
@@ -214,12 +229,12 @@ class RelativePositioning:
         b_T_a, _, _ = solve_motion(problem.select(inlier), b_T_a, kernel_sigma=sigma)
         # Residuals up to twice the gate's size still belong to the noise when that is larger
         # than stated; what is farther off is wrong.
-        _, _, chi2 = problem.linearise(b_T_a, sigma)
+        chi2 = problem.linearise(b_T_a, sigma, part=Part.DISTANCES)[2]
         plausible = problem.select(chi2 < 4.0 * self._gate)
         if len(plausible) < self._needed:
             return _refuse(prediction, count, "the motion does not hold after refinement")
         b_T_a, _, _ = solve_motion(plausible, b_T_a, kernel_sigma=sigma)
-        _, _, chi2 = problem.linearise(b_T_a, sigma)
+        chi2 = problem.linearise(b_T_a, sigma, part=Part.DISTANCES)[2]
         inlier = chi2 < self._gate
         if inlier.sum() < self._needed:
             return _refuse(prediction, count, "the motion does not hold after refinement")

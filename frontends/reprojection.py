@@ -28,6 +28,8 @@ _NEAREST_M = 1e-3
 _FAR_OFF = 1e12
 #: Least variance left after elimination, px^2: rounding must not make it negative.
 _LEAST_VARIANCE = 1e-9
+#: A Gauss-Newton step beyond this (rad, m) comes from a singular system.
+_LARGEST_STEP = 1e3
 
 
 class Part(IntEnum):
@@ -43,6 +45,8 @@ class Part(IntEnum):
     """w - 2 w^2 m^2 / (3 k^2): the mean second derivative of the cost."""
     SCATTER = 2
     """w^2 m^2 / 3: the covariance of its first derivative."""
+    DISTANCES = 3
+    """None: only the Mahalanobis distances are computed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,10 +184,12 @@ def solve_motion(
     """
     information, gradient, chi2 = problem.linearise(b_T_a, kernel_sigma)
     for _ in range(iterations):
-        motion_information = information[:6, :6]
-        if not np.isfinite(motion_information).all() or np.linalg.cond(motion_information) > 1e14:
+        try:
+            step = np.linalg.solve(information[:6, :6], gradient[:6])
+        except np.linalg.LinAlgError:
             break
-        step = np.linalg.solve(motion_information, gradient[:6])
+        if not np.isfinite(step).all() or float(np.abs(step).max()) > _LARGEST_STEP:
+            break
         b_T_a = b_T_a @ se3_exp(step)
         information, gradient, chi2 = problem.linearise(b_T_a, kernel_sigma)
         if float(np.abs(step).max()) < 1e-8:
@@ -262,6 +268,8 @@ def _normal_equations(
         w2 = (r2 - l20 * w0 - l21 * w1) / l22
         distance2 = w0 * w0 + w1 * w1 + w2 * w2
         chi2[i] = distance2
+        if part == 3:
+            continue
         weight = 1.0 / (1.0 + distance2 / (kernel_sigma * kernel_sigma))
         matrix_weight = weight
         if part == 1:
