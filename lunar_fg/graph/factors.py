@@ -54,12 +54,21 @@ def tilt_factor(key: int, tilt: Tilt, source: str) -> gtsam.AttitudeFactorPose3:
     check_finite([tilt.roll_rad, tilt.pitch_rad, tilt.sigma_rad], source, "tilt")
     if tilt.sigma_rad <= 0.0:
         raise InputError("must be above 0", source=source, field="tilt.sigma_rad")
+    return upright_factor(key, up_in_rover(tilt), tilt.sigma_rad)
+
+
+def up_in_rover(tilt: Tilt) -> FloatArray:
+    """Direction of the map's vertical in rover axes, (3,)."""
     sp, cp = np.sin(tilt.pitch_rad), np.cos(tilt.pitch_rad)
     sr, cr = np.sin(tilt.roll_rad), np.cos(tilt.roll_rad)
-    up_in_rover = gtsam.Unit3(np.array([-sp, cp * sr, cp * cr]))
+    return np.array([-sp, cp * sr, cp * cr])
+
+
+def upright_factor(key: int, up: FloatArray, sigma_rad: float) -> gtsam.AttitudeFactorPose3:
+    """The map's vertical seen along `up` in rover axes."""
+    noise = gtsam.noiseModel.Isotropic.Sigma(2, sigma_rad)
     up_in_map = gtsam.Unit3(np.array([0.0, 0.0, 1.0]))
-    noise = gtsam.noiseModel.Isotropic.Sigma(2, tilt.sigma_rad)
-    return gtsam.AttitudeFactorPose3(key, up_in_map, noise, up_in_rover)
+    return gtsam.AttitudeFactorPose3(key, up_in_map, noise, gtsam.Unit3(up))
 
 
 class StereoFactors:

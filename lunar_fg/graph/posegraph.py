@@ -8,15 +8,19 @@ import numpy as np
 from frontends.camera import StereoCamera
 from frontends.errors import EstimationError, InputError
 from frontends.geometry import adjoint, inverse, se3_exp, se3_log
-from frontends.measurements import FloatArray, StartPrior
+from frontends.measurements import FloatArray, StartPrior, Tilt
 from lunar_fg.graph.config import GraphConfig
-from lunar_fg.graph.factors import between_factor, pose_key, start_factor, tilt_factor
+from lunar_fg.graph.factors import (
+    between_factor,
+    pose_key,
+    start_factor,
+    tilt_factor,
+    upright_factor,
+)
 from lunar_fg.graph.isam import GuardedIsam
 from lunar_fg.graph.keyframe import Entered, Keyframe
 from lunar_fg.graph.segment import Segment, SegmentSolution
-
-#: Tilt is used at boundary keyframes only: within a segment the landmarks hold the attitude
-#: far better, and repeated readings of one inclinometer are not independent.
+from lunar_fg.graph.uprights import uprights
 
 
 class SegmentGraph:
@@ -43,6 +47,7 @@ class SegmentGraph:
         self._isam = GuardedIsam(qr=True)
         self._segment: Segment | None = None
         self._last: Keyframe | None = None
+        self._tilts: dict[int, Tilt] = {}
         self._solutions: list[SegmentSolution] = []
         self._failures: list[str] = []
         self._close_at = config.segment_keyframes
@@ -59,6 +64,8 @@ class SegmentGraph:
             return Entered(0, 0, ("start",), lost=False)
         entered = self._segment.add(keyframe)
         self._last = keyframe
+        if keyframe.tilt is not None:
+            self._tilts[len(self._segment) - 1] = keyframe.tilt
         if len(self._segment) > self._close_at:
             self.close()
         return entered
@@ -74,6 +81,7 @@ class SegmentGraph:
     def _open(self, boundary: Keyframe) -> None:
         self._segment = Segment(self._camera, self._rover_T_camera, self._config, boundary)
         self._last = boundary
+        self._tilts = {}
 
     @staticmethod
     def _add_tilt(factors: gtsam.NonlinearFactorGraph, keyframe: Keyframe, key: int) -> None:
@@ -113,6 +121,9 @@ class SegmentGraph:
         factors.add(between_factor(first, second, motion, covariance, name))
         values.insert(second, gtsam.Pose3(self._isam.pose(first) @ motion))
         self._add_tilt(factors, last, second)
+        for key, upright in zip((first, second), uprights(solution, self._tilts), strict=True):
+            if upright is not None:
+                factors.add(upright_factor(key, *upright))
         self._isam.update(factors, values, last.index)
 
     def finish(self) -> None:

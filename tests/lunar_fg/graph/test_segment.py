@@ -5,9 +5,11 @@ import numpy as np
 import pytest
 
 from frontends.geometry import inverse, se3_log
+from frontends.measurements import Tilt
 from lunar_fg.graph.config import GraphConfig
 from lunar_fg.graph.factors import between_factor, landmark_key, pose_key
 from lunar_fg.graph.segment import Segment, _longest
+from lunar_fg.graph.uprights import uprights
 from lunar_fg.simulation.measurements import TraverseSpec, simulate
 
 
@@ -133,3 +135,24 @@ def test_longest_tracks_are_kept_at_each_start():
     length = np.array([2, 9, 3, 1, 2, 2, 5, 4, 1])
     kept = _longest(start, length, 4)
     assert kept.tolist() == [False, True, True, False, True, False, True, True, False]
+
+
+@pytest.mark.parametrize("end", [0, 10])
+def test_tilts_within_a_segment_come_together_at_its_ends(end):
+    traverse = simulate(TraverseSpec(keyframes=11, tilt=True), seed=3)
+    solution = filled(traverse, GraphConfig()).solve()
+    members = [3, 4] if end == 0 else [7, 8]
+    tilts = {i: traverse.keyframes[i].tilt for i in members}
+    found = uprights(solution, tilts)
+    assert found[0 if end else 1] is None
+    up, sigma = found[1 if end else 0]
+    truth = traverse.map_T_rover[end][2, :3]
+    assert np.arccos(np.clip(up @ truth, -1.0, 1.0)) < 3.0 * sigma
+    alone = tilts[members[0]].sigma_rad / np.sqrt(2.0)
+    assert alone < sigma < 1.1 * alone
+
+
+def test_tilts_at_the_ends_are_left_to_the_graph():
+    traverse = simulate(TraverseSpec(keyframes=6, tilt=True), seed=3)
+    solution = filled(traverse, GraphConfig()).solve()
+    assert uprights(solution, {0: Tilt(0.0, 0.0, 0.1), 5: Tilt(0.0, 0.0, 0.1)}) == (None, None)
