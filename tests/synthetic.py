@@ -103,9 +103,7 @@ class Scene:
             index,
             0.5 * index if stamp_s is None else stamp_s,
             self._render(map_T_camera, camera.cx, camera.cy, rng),
-            self._render(
-                right, camera.cx - self.disparity_px, camera.cy - self.vertical_px, rng
-            ),
+            self._render(right, camera.cx - self.disparity_px, camera.cy - self.vertical_px, rng),
             camera,
         )
 
@@ -120,8 +118,7 @@ class Scene:
         camera = self.camera
         rays = np.stack([(u - cx) / camera.fx, (v - cy) / camera.fy, np.ones_like(u)], axis=-1)
         hits = [
-            plane.hit(map_T_camera[:3, 3], rays @ map_T_camera[:3, :3].T)
-            for plane in self.planes
+            plane.hit(map_T_camera[:3, 3], rays @ map_T_camera[:3, :3].T) for plane in self.planes
         ]
         return np.stack([hit[0] for hit in hits]), [hit[1:] for hit in hits]
 

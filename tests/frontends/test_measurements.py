@@ -75,9 +75,7 @@ def test_motion_in_other_frames_carries_its_covariance():
     a_T_b = se3_exp([0.02, -0.1, 0.03, 0.1, -0.05, 0.9])
     rng = np.random.default_rng(2)
     root = 0.01 * rng.normal(size=(6, 6))
-    motion = RelativePose(
-        a_T_b, root @ root.T, np.arange(3), 9, Verdict.ACCEPTED, "as it was"
-    )
+    motion = RelativePose(a_T_b, root @ root.T, np.arange(3), 9, Verdict.ACCEPTED, "as it was")
     moved = motion.in_frames(mount)
     samples = np.array(
         [
@@ -112,3 +110,13 @@ def test_measurements_are_frozen():
     seen = observations()
     with pytest.raises(AttributeError):
         seen.v = seen.u_left
+
+
+def test_wrong_match_rate_is_the_share_that_disagrees():
+    def motion(inliers, tried):
+        return RelativePose(np.eye(4), np.eye(6), np.arange(inliers), tried, Verdict.ACCEPTED)
+
+    assert motion(30, 40).wrong_match_rate == pytest.approx(0.25)
+    assert motion(0, 7).wrong_match_rate == 1.0
+    assert motion(7, 7).wrong_match_rate == 0.0
+    assert np.isnan(motion(0, 0).wrong_match_rate)

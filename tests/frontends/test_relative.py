@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pydantic import TypeAdapter, ValidationError
 from scipy.stats import chi2
 from synthetic import CAMERA, PointCloud
 
@@ -16,7 +17,7 @@ from frontends.relative import (
     predicted_points,
     rigid_transform,
 )
-from frontends.reprojection import TwoViewProblem
+from frontends.reprojection import Part, TwoViewProblem
 from frontends.tracking import common_landmarks
 
 A_T_B = se3_exp([0.01, -0.03, 0.005, 0.02, 0.01, 0.25])
@@ -82,7 +83,6 @@ def mean_nees(seeds, **kwargs):
     return np.mean([nees(estimate(*two_views(seed, **kwargs)[:2], seed)) for seed in seeds])
 
 
-@pytest.mark.xfail(strict=True, reason="NEES 0.84 and 0.77: too cautious by a sixth to a third")
 @pytest.mark.parametrize("wrong_share", [0.0, 0.3])
 def test_the_covariance_is_honest(wrong_share):
     runs = 150
@@ -97,7 +97,6 @@ def test_the_covariance_is_never_far_off():
     assert 0.6 < mean_nees(range(100, 160), nearest_m=3.0, farthest_m=30.0) < 1.7
 
 
-@pytest.mark.xfail(strict=True, reason="NEES 3.0: the gate cuts the residuals it is judged by")
 def test_larger_noise_than_stated_inflates_the_covariance():
     squared = []
     for seed in range(60):
@@ -253,7 +252,7 @@ def test_a_point_behind_the_camera_has_no_say():
     turned[0, 2] = -1.0
     other = TwoViewProblem.of_landmarks(CAMERA, turned, a.points_covariance, b)
     information_2, gradient_2, chi2_2 = other.linearise(inverse(A_T_B), 2.0)
-    assert chi2_2[0] == np.inf
+    assert chi2_2[0] == 1e12  # finite: compiled with fast arithmetic, never an inlier
     rest = problem.select(np.arange(len(b)) > 0).linearise(inverse(A_T_B), 2.0)
     np.testing.assert_allclose(information_2, rest[0])
     np.testing.assert_allclose(gradient_2, rest[1])
@@ -273,7 +272,6 @@ def test_more_inliers_asked_for_than_there_are_is_a_reason():
     assert_refused(found)
 
 
-@pytest.mark.xfail(strict=True, reason="settings are not checked: numpy's ValueError")
 @pytest.mark.parametrize("least", [0, 2])
 def test_fewer_than_three_inliers_asked_for_is_no_crash(least):
     a, b, _ = two_views(0)
@@ -284,7 +282,6 @@ def test_fewer_than_three_inliers_asked_for_is_no_crash(least):
     assert_refused(found)
 
 
-@pytest.mark.xfail(strict=True, reason="refine starts from an unweighted rigid transform")
 def test_refine_is_not_led_astray_by_a_few_points_at_infinity():
     """As the disparity correction leaves them: 0.02 px of disparity, depth unknown."""
     a, b, _ = two_views(0)
@@ -300,3 +297,58 @@ def test_refine_is_not_led_astray_by_a_few_points_at_infinity():
     known = MotionPrediction(A_T_B, 1e-4 * np.eye(6))
     found = RelativePositioning(CAMERA).refine(a.points_cam, a.points_covariance, b, known)
     assert found.accepted, found.reason
+
+
+def two_view_problem(seed=1, count=60):
+    a, b, _ = two_views(seed, count=count)
+    return TwoViewProblem.of_landmarks(CAMERA, a.points_cam, a.points_covariance, b)
+
+
+def test_the_parts_are_what_their_names_say():
+    """Landmark by landmark against the formulas of `Part`."""
+    problem, b_T_a, kernel = two_view_problem(), inverse(A_T_B), 1.5
+    sums = {part: problem.linearise(b_T_a, kernel, part=part) for part in Part}
+    expected = {part: np.zeros((6, 6)) for part in Part}
+    for k in range(len(problem)):
+        one = problem.select(np.arange(len(problem)) == k)
+        plain, _, chi2 = one.linearise(b_T_a, 1e9)
+        m2 = float(chi2[0])
+        weight = 1.0 / (1.0 + m2 / kernel**2)
+        expected[Part.SOLVE] += weight * plain
+        expected[Part.CURVATURE] += (weight - 2.0 * weight**2 * m2 / (3.0 * kernel**2)) * plain
+        expected[Part.SCATTER] += weight**2 * m2 / 3.0 * plain
+    for part in Part:
+        information, gradient, chi2 = sums[part]
+        np.testing.assert_allclose(chi2, sums[Part.SOLVE][2])
+        np.testing.assert_allclose(information, expected[part], rtol=1e-5)
+        if part is not Part.DISTANCES:
+            np.testing.assert_allclose(gradient, sums[Part.SOLVE][1])
+
+
+def test_no_covariance_where_the_motion_is_open():
+    problem = two_view_problem()
+    assert problem.motion_covariance(inverse(A_T_B), 2.0) is not None
+    two = problem.select(np.arange(len(problem)) < 2)
+    assert two.motion_covariance(inverse(A_T_B), 2.0) is None
+    nothing = problem.select(np.zeros(len(problem), bool))
+    assert nothing.motion_covariance(inverse(A_T_B), 2.0) is None
+    turned_away = se3_exp([0.0, np.pi, 0.0, 0.0, 0.0, 0.0])
+    assert problem.motion_covariance(turned_away, 2.0) is None
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"min_inliers": 2},
+        {"min_inliers": 12.5},
+        {"inlier_probability": 1.0},
+        {"confidence": 0.0},
+        {"confidence": float("nan")},
+        {"max_hypotheses": 0},
+        {"kernel_sigma": -1.0},
+        {"least_inliers": 12},
+    ],
+)
+def test_settings_out_of_range_are_refused(bad):
+    with pytest.raises(ValidationError):
+        TypeAdapter(RelativeConfig).validate_python(bad)

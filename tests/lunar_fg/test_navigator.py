@@ -4,12 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from synthetic import CAMERA, Scene, arc, rover_T_camera, sequence
 
 from frontends.disparity_check import DisparityCheckConfig
 from frontends.errors import EstimationError, InputError, LunarFgError
 from frontends.geometry import inverse, se3_log
-from frontends.measurements import StartPrior, StereoFrame, UnusableFrame, WheelOdometry
+from frontends.measurements import (
+    Attitude,
+    StartPrior,
+    StereoFrame,
+    UnusableFrame,
+    WheelOdometry,
+)
 from lunar_fg.config import Config
 from lunar_fg.navigator import Navigator
 
@@ -128,7 +135,6 @@ def test_the_first_frames_may_be_unusable(frames):
     assert np.linalg.norm(step[:3]) < 0.1
 
 
-@pytest.mark.xfail(strict=True, reason="nothing is known of the motion, yet 5 cm is claimed")
 def test_a_motion_that_was_never_seen_is_not_claimed_to_be_known():
     """Half a metre a frame, first frame unusable: NEES of the lost pose says what is claimed."""
     fast = sequence(arc(2, step_m=0.5))
@@ -197,13 +203,7 @@ def test_a_frame_that_does_not_follow_is_an_error_and_nothing_is_lost(frames, sp
 
 
 @pytest.mark.parametrize("spoil", BAD_ORDER.values(), ids=BAD_ORDER)
-def test_after_a_refused_frame_the_run_is_as_if_it_had_not_come(frames, spoil, request):
-    if "wide" not in request.node.name:
-        request.applymarker(
-            pytest.mark.xfail(
-                strict=True, reason="the frontend takes the frame in before the order is checked"
-            )
-        )
+def test_after_a_refused_frame_the_run_is_as_if_it_had_not_come(frames, spoil):
     plain, _ = navigate([*frames[:4], *frames[6:10]])
     navigator = Navigator(CAMERA, QUIET, MOUNT)
     for frame in frames[:4]:
@@ -219,7 +219,6 @@ def test_after_a_refused_frame_the_run_is_as_if_it_had_not_come(frames, spoil, r
     )
 
 
-@pytest.mark.xfail(strict=True, reason="a frame that is refused is counted by the stopwatch")
 def test_times_are_one_a_frame_also_after_a_refused_frame(frames):
     navigator = Navigator(CAMERA, QUIET, MOUNT)
     navigator.step(frames[0])
@@ -241,7 +240,6 @@ def test_times_by_stage(frames):
     assert (parts <= np.array(times["total"])).all()
 
 
-@pytest.mark.xfail(strict=True, reason="frame.camera is never compared with the navigator's")
 def test_a_frame_of_another_camera_is_refused(frames):
     navigator = Navigator(CAMERA, QUIET, MOUNT)
     other = replace(CAMERA, baseline_m=2.0 * CAMERA.baseline_m)
@@ -249,10 +247,10 @@ def test_a_frame_of_another_camera_is_refused(frames):
         navigator.step(replace(frames[0], camera=other))
 
 
-@pytest.mark.xfail(strict=True, reason="ValueError from numpy, at the first frame")
-def test_a_negative_seed_is_an_input_error(frames):
-    with pytest.raises(LunarFgError):
-        navigate(frames[:2], Config(seed=-1))
+@pytest.mark.parametrize("seed", [-1, 0.5, "many", None])
+def test_a_seed_that_is_none_is_refused_with_the_settings(seed):
+    with pytest.raises((ValidationError, LunarFgError), match="seed"):
+        Config(seed=seed)
 
 
 def test_the_vertical_offset_is_told(frames):
@@ -304,17 +302,70 @@ def test_any_frame_may_come_as_plain_arrays(frames):
     assert len(estimates) == 1
 
 
-@pytest.mark.xfail(strict=True, reason="RuntimeError of the closed thread pool")
-def test_a_frame_after_the_end_is_a_named_error(frames):
-    navigator, _ = navigate(frames[:2])
-    with pytest.raises(LunarFgError):
-        navigator.step(frames[2])
+@pytest.mark.parametrize("config", [QUIET, Config()], ids=["quiet", "checked"])
+def test_a_run_may_go_on_after_its_end(frames, config):
+    """`finish` holds nothing that a further frame needs: the run is as if it had not come."""
+    navigator, _ = navigate(frames[:6], config)
+    estimates = [navigator.step(frame) for frame in frames[6:12]]
+    navigator.finish()
+    assert not any(estimate.lost for estimate in estimates)
+    assert len(navigator.trajectory()) == len(navigator.reports) == 12
+    plain, _ = navigate(frames[:12], config)
+    found, expected = navigator.trajectory().map_T_rover, plain.trajectory().map_T_rover
+    assert np.linalg.norm(found[:, :3, 3] - expected[:, :3, 3], axis=1).max() < 0.01
+    assert position_error(found, POSES).max() < 0.03 * 11 * 0.08
 
 
-@pytest.mark.xfail(strict=True, reason="every frame is kept until enough of them moved")
 def test_waiting_for_the_first_motion_does_not_fill_the_memory(frames):
     navigator = Navigator(CAMERA, Config(), MOUNT)
     for k in range(40):
         navigator.step(replace(frames[0], index=k, stamp_s=float(k)))
     check = navigator._calibration._check
     assert len(check._frames) < 35
+
+
+LEVEL = Attitude(0.0, 0.0, 0.0, 0.005, 0.05)
+NAN = float("nan")
+NO_MEASUREMENT = {
+    "wheels nan": lambda f: replace(f, odometry=WheelOdometry(NAN, 0.0, 0.0)),
+    "wheels infinite": lambda f: replace(f, odometry=WheelOdometry(0.1, 0.0, float("inf"))),
+    "attitude nan": lambda f: replace(f, attitude=replace(LEVEL, pitch_rad=NAN)),
+    "attitude sigma 0": lambda f: replace(f, attitude=replace(LEVEL, sigma_rp_rad=0.0)),
+    "attitude sigma nan": lambda f: replace(f, attitude=replace(LEVEL, sigma_rp_rad=NAN)),
+}
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.xfail(strict=True, reason="the frontend takes it in before its numbers are checked")
+@pytest.mark.parametrize("spoil", NO_MEASUREMENT.values(), ids=NO_MEASUREMENT)
+def test_after_a_measurement_that_is_no_number_the_run_goes_on(frames, spoil):
+    """As for a frame out of order. NaN from the wheels stopped all frames that followed."""
+    navigator = Navigator(CAMERA, QUIET, MOUNT)
+    for frame in frames[:4]:
+        navigator.step(frame)
+    with pytest.raises(InputError) as caught:
+        navigator.step(spoil(frames[4]))
+    assert "frame 4" in str(caught.value)
+    for frame in frames[5:8]:
+        navigator.step(frame)
+    navigator.finish()
+    assert len(navigator.reports) == len(navigator.trajectory())
+    plain, _ = navigate([*frames[:4], *frames[5:8]])
+    np.testing.assert_array_equal(
+        navigator.trajectory().map_T_rover, plain.trajectory().map_T_rover
+    )
+
+
+@pytest.mark.xfail(strict=True, reason="infinity passes; a later error names a keyframe, not it")
+@pytest.mark.parametrize(
+    ("group", "name"),
+    [
+        ("stereo", "hessian_threshold"),
+        ("stereo", "localisation_sigma"),
+        ("tracking", "surface_slope"),
+        ("disparity_check", "floor_px"),
+    ],
+)
+def test_infinite_settings_are_refused_with_the_settings(group, name):
+    with pytest.raises(ValidationError, match=name):
+        Config.model_validate({group: {name: float("inf")}})

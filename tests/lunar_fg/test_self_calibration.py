@@ -5,10 +5,12 @@ import pytest
 from synthetic import CAMERA, PointCloud, Scene, arc, rover_T_camera, sequence
 
 from frontends.disparity_check import DisparityCheckConfig
+from frontends.errors import EstimationError
 from frontends.geometry import inverse, se3_exp
-from frontends.measurements import RelativePose, Verdict
+from frontends.measurements import RelativePose, UnusableFrame, Verdict
 from frontends.relative import RelativePositioning
 from lunar_fg.config import Config
+from lunar_fg.graph.incremental import IncrementalSmoother
 from lunar_fg.graph.keyframe import Keyframe
 from lunar_fg.navigator import Navigator
 from lunar_fg.self_calibration import SelfCalibration
@@ -40,7 +42,7 @@ def keyframes(error=FIELD, count=10, seed=0, gap=()):
 
 
 def calibration(frames=6, mode="apply"):
-    return SelfCalibration(CAMERA, DisparityCheckConfig(mode=mode, frames=frames))
+    return SelfCalibration(CAMERA, DisparityCheckConfig(mode=mode, frames=frames), 0.25)
 
 
 def test_applied_once_when_enough_came():
@@ -145,10 +147,9 @@ def test_the_drive_is_measured_right_after_the_check(frames):
     assert scale_of(off, POSES) < 0.93  # what there is to repair
     for count in (8, 100):  # within the run, and at its end
         navigator, estimates = run(frames, frames=count)
-        # 0.03 and no frame lost once `refine` starts from the motion that is known
-        assert scale_of(navigator, POSES) == pytest.approx(1.0, abs=0.05)
+        assert scale_of(navigator, POSES) == pytest.approx(1.0, abs=0.03)
         assert len(navigator.trajectory()) == len(frames) == len(navigator.reports)
-        assert navigator.frames_lost <= 1
+        assert navigator.frames_lost == 0
         told = [text for text in navigator.warnings if "disparity" in text]
         assert len(told) == 1
         assert "not removed" not in told[0]
@@ -175,22 +176,107 @@ def test_a_clean_drive_is_left_alone():
     )
 
 
-@pytest.mark.xfail(strict=True, reason="the old graph is dropped before the new one is complete")
-def test_a_failure_while_correcting_leaves_the_estimates(frames, monkeypatch):
-    """The new graph replaces the old one when it is complete, not before."""
-    from frontends.errors import EstimationError
-    from lunar_fg.graph.incremental import IncrementalSmoother
-
-    navigator = Navigator(
-        CAMERA, Config(disparity_check=DisparityCheckConfig(frames=100)), MOUNT
-    )
+def after_a_failed_correction(frames, monkeypatch):
+    navigator = Navigator(CAMERA, Config(disparity_check=DisparityCheckConfig(frames=100)), MOUNT)
     for frame in frames[:8]:
         navigator.step(frame)
 
     def fail(self, keyframe):
         raise EstimationError("the graph refused the keyframe")
 
-    monkeypatch.setattr(IncrementalSmoother, "add", fail)
-    with pytest.raises(EstimationError):
-        navigator.finish()
+    with monkeypatch.context() as patch:
+        patch.setattr(IncrementalSmoother, "add", fail)
+        with pytest.raises(EstimationError):
+            navigator.finish()
+    return navigator
+
+
+def test_a_failure_while_correcting_leaves_the_estimates(frames, monkeypatch):
+    """The new graph replaces the old one when it is complete, not before."""
+    navigator = after_a_failed_correction(frames, monkeypatch)
     assert len(navigator.trajectory()) == 8
+    assert scale_of(navigator, POSES[:8]) < 0.95  # the old graph's, uncorrected
+
+
+@pytest.mark.xfail(strict=True, reason="'removed' is told once it was found, not once it was done")
+def test_what_was_not_removed_is_not_told_to_be(frames, monkeypatch):
+    """Unless the correction is made up for, its text must not say that it was made."""
+    navigator = after_a_failed_correction(frames, monkeypatch)
+    navigator.finish()
+    told = [text for text in navigator.warnings if "disparity" in text]
+    right = scale_of(navigator, POSES[:8]) == pytest.approx(1.0, abs=0.03)
+    assert right or not told or "not removed" in told[0]
+
+
+def unusable(frame):
+    return UnusableFrame(frame.index, frame.stamp_s, "images missing")
+
+
+@pytest.mark.parametrize("lost", [(5,), (4, 8)])
+@pytest.mark.parametrize("count", [6, 100])
+def test_frames_lost_before_the_correction_stay_counted(frames, count, lost):
+    images = [unusable(f) if f.index in lost else f for f in frames[:12]]
+    navigator, estimates = run(images, frames=count)
+    assert "; removed" in " ".join(navigator.warnings)
+    assert navigator.frames_lost == len(lost)
+    assert [e.index for e in estimates if e.lost] == list(lost)
+
+
+@pytest.mark.xfail(strict=True, reason="a correction at the end leaves the last frame out")
+def test_a_last_frame_that_is_lost_is_counted(frames):
+    navigator, estimates = run([*frames[:10], unusable(frames[10])], frames=100)
+    assert "; removed" in " ".join(navigator.warnings)
+    assert estimates[-1].lost
+    assert navigator.frames_lost == 1
+
+
+@pytest.mark.xfail(
+    strict=True,
+    reason="without a newest image the tracker keeps uncorrected points: a step of 0.05 for 0.1 m",
+)
+def test_the_first_step_after_a_correction_at_a_gap_is_right(frames, monkeypatch):
+    """Patience ends on a frame without images; the memory is older than that frame."""
+    monkeypatch.setattr(SelfCalibration, "_PATIENCE", 1)
+    navigator = Navigator(CAMERA, Config(disparity_check=DisparityCheckConfig(frames=9)), MOUNT)
+    for frame in [*frames[:8], unusable(frames[8])]:
+        navigator.step(frame)
+    assert "; removed" in " ".join(navigator.warnings)
+    estimate = navigator.step(frames[9])
+    if not estimate.lost:
+        truth = inverse(POSES[7]) @ POSES[9]
+        found = navigator.trajectory().map_T_rover
+        step = inverse(found[7]) @ found[9]
+        assert np.linalg.norm(step[:3, 3] - truth[:3, 3]) < 0.02
+
+
+def test_patience_ends_for_a_rover_that_stands():
+    """Neither frames nor keyframes are held for ever."""
+    held = calibration(frames=3)
+    rng = np.random.default_rng(0)
+    points = PointCloud.ahead(0, count=100)
+    for k in range(40):
+        assert not held.watch(Keyframe(k, float(k), points.observe(np.eye(4), rng)))
+        assert len(held._keyframes) <= 30
+    assert held._keyframes == []
+    assert held.finding is None
+    assert not held.conclude()
+
+
+def test_keyframes_are_let_go_once_used():
+    held = calibration()
+    for keyframe in keyframes()[:7]:
+        held.watch(keyframe)
+    assert len(held.corrected(FIELD, RelativePositioning(CAMERA))) == 7
+    assert len(held.corrected(FIELD, RelativePositioning(CAMERA))) == 7  # until they are in use
+    held.forget()
+    assert held.corrected(FIELD, RelativePositioning(CAMERA)) == []
+
+
+def test_corrected_keyframes_hold_no_point_beyond_the_range():
+    held = SelfCalibration(CAMERA, DisparityCheckConfig(frames=6), 0.1)
+    for keyframe in keyframes()[:7]:
+        held.watch(keyframe)
+    for keyframe in held.corrected(FIELD, RelativePositioning(CAMERA)):
+        seen = keyframe.observations
+        assert len(seen) > 30
+        assert (np.sqrt(seen.points_covariance[:, 2, 2]) < 0.1 * seen.points_cam[:, 2]).all()

@@ -1,0 +1,104 @@
+"""Frames in order, each once, all from one camera."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from synthetic import CAMERA
+
+from frontends.errors import InputError
+from frontends.measurements import StereoFrame, UnusableFrame
+from lunar_fg.order import FrameOrder
+
+IMAGE = np.zeros((CAMERA.height, CAMERA.width), np.uint8)
+
+
+def stereo(index, stamp_s, camera=CAMERA):
+    return StereoFrame(index, stamp_s, IMAGE, IMAGE, camera)
+
+
+def unusable(index, stamp_s):
+    return UnusableFrame(index, stamp_s, "left image missing")
+
+
+def order_after(*frames):
+    order = FrameOrder(CAMERA)
+    for frame in frames:
+        order.check(frame)
+        order.accept(frame)
+    return order
+
+
+@pytest.mark.parametrize("make", [stereo, unusable])
+def test_frames_in_order_pass_with_gaps_and_any_first_stamp(make):
+    order_after(make(0, -3.5), make(1, -3.4999), make(2, 0.0), make(40, 1e9))
+    order_after(make(7, 0.0))
+
+
+@pytest.mark.parametrize("make", [stereo, unusable])
+@pytest.mark.parametrize(
+    ("index", "stamp_s", "field"),
+    [
+        (4, 9.0, "index"),
+        (5, 9.0, "index"),
+        (-1, 9.0, "index"),
+        (6, 2.5, "stamp_s"),
+        (6, 2.4, "stamp_s"),
+        (6, -np.inf, "stamp_s"),
+        (6, np.inf, "stamp_s"),
+        (6, np.nan, "stamp_s"),
+    ],
+)
+def test_what_does_not_follow_is_named(make, index, stamp_s, field):
+    order = order_after(stereo(5, 2.5))
+    with pytest.raises(InputError) as caught:
+        order.check(make(index, stamp_s))
+    assert caught.value.field == field
+    assert caught.value.source == f"frame {index}"
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("make", [stereo, unusable])
+def test_the_first_frame_too_must_have_a_number_and_a_time(make):
+    for index, stamp_s in ((-1, 0.0), (0, np.nan), (0, np.inf), (0, -np.inf)):
+        with pytest.raises(InputError):
+            FrameOrder(CAMERA).check(make(index, stamp_s))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"baseline_m": 0.2}, {"width": 640}, {"fx": 240.5}, {"cy": 0.0}],
+    ids=lambda change: next(iter(change)),
+)
+def test_another_camera_is_named(change):
+    order = FrameOrder(CAMERA)
+    with pytest.raises(InputError, match="navigator") as caught:
+        order.check(stereo(0, 0.0, replace(CAMERA, **change)))
+    assert caught.value.field == "camera"
+    order.check(stereo(0, 0.0, replace(CAMERA)))  # equal, not the same object
+
+
+def test_looking_is_not_taking_in():
+    """A frame that was checked and then failed may come again, or another in its place."""
+    order = order_after(stereo(0, 0.0))
+    for _ in range(2):
+        order.check(stereo(8, 8.0))
+    order.check(stereo(1, 0.5))
+
+
+def test_a_refused_frame_changes_nothing():
+    order = order_after(stereo(3, 1.0))
+    for bad in (stereo(2, 5.0), stereo(9, 0.5), stereo(9, np.nan)):
+        with pytest.raises(InputError):
+            order.check(bad)
+    order.check(stereo(4, 1.5))
+    with pytest.raises(InputError):
+        order.check(stereo(3, 1.5))
+
+
+def test_unusable_frames_count():
+    order = order_after(stereo(0, 0.0), unusable(1, 0.5))
+    for bad in (stereo(1, 1.0), stereo(2, 0.5)):
+        with pytest.raises(InputError):
+            order.check(bad)
+    order.check(stereo(2, 1.0))
