@@ -1,56 +1,22 @@
-"""The traverse log: every measurement and estimate of a run in one SQLite file.
-
-Arrays are stored as NumPy's own ``.npy`` bytes without pickle: little-endian, with dtype and
-shape, so what is read back is what was written, bit for bit.
-"""
+"""The traverse log: every measurement and estimate of a run in one SQLite file."""
 
 from __future__ import annotations
 
-import io
 import json
 import sqlite3
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-import numpy as np
-
 from frontends.camera import StereoCamera
 from frontends.errors import InputError
-from frontends.measurements import (
-    Estimate,
-    FloatArray,
-    Odometry,
-    RelativePose,
-    StartPrior,
-    StereoObservations,
-    Tilt,
-    Verdict,
-)
+from frontends.measurements import Estimate, FloatArray, StartPrior
 from lunar_fg.graph.keyframe import Keyframe
+from lunar_fg.log_rows import KEYFRAME_TABLES, TABLES, RowReader, pack, rows_of
 
 SCHEMA_VERSION = 1
-
-_TABLES = """
-CREATE TABLE run (only INTEGER PRIMARY KEY CHECK (only = 1), camera TEXT NOT NULL,
-    rover_T_camera BLOB NOT NULL, start TEXT NOT NULL, start_pose BLOB NOT NULL,
-    config TEXT NOT NULL);
-CREATE TABLE keyframe (frame INTEGER PRIMARY KEY, stamp_s REAL NOT NULL,
-    tilt_roll_rad REAL, tilt_pitch_rad REAL, tilt_sigma_rad REAL,
-    odometry_pose BLOB, odometry_covariance BLOB);
-CREATE TABLE observations (frame INTEGER PRIMARY KEY REFERENCES keyframe,
-    landmark_id BLOB NOT NULL, u_left BLOB NOT NULL, u_right BLOB NOT NULL, v BLOB NOT NULL,
-    sigma_px BLOB NOT NULL, sigma_disparity_px BLOB NOT NULL, points_cam BLOB NOT NULL,
-    points_covariance BLOB NOT NULL);
-CREATE TABLE relative (frame INTEGER PRIMARY KEY REFERENCES keyframe,
-    pose BLOB NOT NULL, covariance BLOB NOT NULL, inlier_ids BLOB NOT NULL,
-    correspondences INTEGER NOT NULL, verdict TEXT NOT NULL, reason TEXT NOT NULL);
-CREATE TABLE estimate (frame INTEGER PRIMARY KEY REFERENCES keyframe,
-    pose BLOB NOT NULL, covariance BLOB NOT NULL, lost INTEGER NOT NULL, used TEXT NOT NULL,
-    refused TEXT NOT NULL);
-"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +51,7 @@ class TraverseLog:
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
         self._path = path
         self._db = connection
+        self._rows = RowReader(path)
 
     @classmethod
     def create(cls, path: Path, header: RunHeader) -> Self:
@@ -102,7 +69,7 @@ class TraverseLog:
             log = cls(path, sqlite3.connect(path, isolation_level=None))
             log._db.execute("PRAGMA journal_mode=WAL")
             log._db.execute("PRAGMA synchronous=NORMAL")
-            log._db.executescript(f"BEGIN;{_TABLES}PRAGMA user_version={SCHEMA_VERSION};COMMIT;")
+            log._db.executescript(f"BEGIN;{TABLES}PRAGMA user_version={SCHEMA_VERSION};COMMIT;")
             log._write_header(header)
         except sqlite3.Error as error:
             if log is not None:
@@ -166,9 +133,9 @@ class TraverseLog:
             "INSERT INTO run VALUES (1, ?, ?, ?, ?, ?)",
             (
                 json.dumps(asdict(header.camera)),
-                _pack(header.rover_T_camera),
+                pack(header.rover_T_camera),
                 json.dumps(sigmas),
-                _pack(start.map_T_rover),
+                pack(start.map_T_rover),
                 header.config_json,
             ),
         )
@@ -178,9 +145,9 @@ class TraverseLog:
         row = self._query("SELECT * FROM run")[0]
         _, camera, rover_T_camera, start, start_pose, config = row
         sigmas = json.loads(start)
-        start_pose = self._unpack(start_pose, "run")
+        start_pose = self._rows.array(start_pose, "run")
         prior = StartPrior(start_pose, tuple(sigmas["rot_rad"]), tuple(sigmas["trans_m"]))
-        rover_T_camera = self._unpack(rover_T_camera, "run")
+        rover_T_camera = self._rows.array(rover_T_camera, "run")
         return RunHeader(StereoCamera(**json.loads(camera)), rover_T_camera, prior, config)
 
     def append(self, keyframe: Keyframe, estimate: Estimate) -> None:
@@ -204,14 +171,18 @@ class TraverseLog:
         self._transact(entries, start_anew=True)
 
     def _transact(self, entries: Sequence[tuple[Keyframe, Estimate]], *, start_anew: bool) -> None:
+        frame = -1
         try:
             self._db.execute("BEGIN IMMEDIATE")
             try:
                 if start_anew:
-                    for table in ("estimate", "relative", "observations", "keyframe"):
+                    for table in KEYFRAME_TABLES:
                         self._db.execute(f"DELETE FROM {table}")
                 for keyframe, estimate in entries:
-                    self._insert(keyframe, estimate)
+                    frame = keyframe.index
+                    for table, values in rows_of(keyframe, estimate):
+                        marks = ", ".join("?" * len(values))
+                        self._db.execute(f"INSERT INTO {table} VALUES ({marks})", values)
             except BaseException:
                 self._db.execute("ROLLBACK")
                 raise
@@ -219,7 +190,7 @@ class TraverseLog:
         except sqlite3.IntegrityError as error:
             raise InputError(
                 "is in the log already", source=self._path,
-                field=f"keyframe {entries[-1][0].index}",
+                field=f"keyframe {frame}",
             ) from error  # fmt: skip
         except sqlite3.Error as error:
             raise InputError(
@@ -227,61 +198,14 @@ class TraverseLog:
                 remedy="what was logged before is kept; check disk space and permissions",
             ) from error  # fmt: skip
 
-    def _insert(self, keyframe: Keyframe, estimate: Estimate) -> None:
-        frame, tilt, odometry = keyframe.index, keyframe.tilt, keyframe.odometry
-        self._row(
-            "keyframe", frame, keyframe.stamp_s,
-            *((tilt.roll_rad, tilt.pitch_rad, tilt.sigma_rad) if tilt else (None,) * 3),
-            *((_pack(odometry.a_T_b), _pack(odometry.covariance)) if odometry else (None,) * 2),
-        )  # fmt: skip
-        observations, relative = keyframe.observations, keyframe.relative
-        if observations is not None:
-            arrays = (getattr(observations, field.name) for field in fields(observations))
-            self._row("observations", frame, *(_pack(array) for array in arrays))
-        if relative is not None:
-            self._row(
-                "relative", frame, _pack(relative.a_T_b), _pack(relative.covariance),
-                _pack(relative.inlier_ids), relative.correspondences, relative.verdict.value,
-                relative.reason,
-            )  # fmt: skip
-        self._row(
-            "estimate", frame, _pack(estimate.map_T_rover), _pack(estimate.covariance),
-            int(estimate.lost), json.dumps(estimate.used), json.dumps(estimate.refused),
-        )  # fmt: skip
-
-    def _row(self, table: str, *values: object) -> None:
-        marks = ", ".join("?" * len(values))
-        self._db.execute(f"INSERT INTO {table} VALUES ({marks})", values)
-
     def keyframes(self) -> list[Keyframe]:
         """Read all measurements in frame order."""
-        observations = {row[0]: row[1:] for row in self._query("SELECT * FROM observations")}
-        relatives = {row[0]: row[1:] for row in self._query("SELECT * FROM relative")}
-        result = []
-        for frame, stamp_s, roll, pitch, sigma, pose, covariance in self._query(
-            "SELECT * FROM keyframe ORDER BY frame"
-        ):
-            where = f"keyframe {frame}"
-            seen, moved = observations.get(frame), relatives.get(frame)
-            result.append(
-                Keyframe(
-                    frame,
-                    stamp_s,
-                    self._observations(seen, where) if seen else None,
-                    self._relative(moved, where) if moved else None,
-                    pose and Odometry(self._unpack(pose, where), self._unpack(covariance, where)),
-                    None if sigma is None else Tilt(roll, pitch, sigma),
-                )
-            )
-        return result
-
-    def _observations(self, row: tuple[Any, ...], where: str) -> StereoObservations:
-        return StereoObservations(*(self._unpack(blob, where) for blob in row))
-
-    def _relative(self, row: tuple[Any, ...], where: str) -> RelativePose:
-        pose, covariance, inliers, correspondences, verdict, reason = row
-        a_T_b, matrix, ids = (self._unpack(blob, where) for blob in (pose, covariance, inliers))
-        return RelativePose(a_T_b, matrix, ids, correspondences, Verdict(verdict), reason)
+        observations = {row[0]: row for row in self._query("SELECT * FROM observations")}
+        relatives = {row[0]: row for row in self._query("SELECT * FROM relative")}
+        return [
+            self._rows.keyframe(row, observations.get(row[0]), relatives.get(row[0]))
+            for row in self._query("SELECT * FROM keyframe ORDER BY frame")
+        ]
 
     def estimates(self) -> list[Estimate]:
         """Read the estimates as they stood when each keyframe came in."""
@@ -289,36 +213,10 @@ class TraverseLog:
             "SELECT frame, stamp_s, pose, covariance, lost, used, refused"
             " FROM keyframe JOIN estimate USING (frame) ORDER BY frame"
         )
-        return [
-            Estimate(
-                frame,
-                stamp_s,
-                self._unpack(pose, f"keyframe {frame}"),
-                self._unpack(covariance, f"keyframe {frame}"),
-                bool(lost),
-                tuple(json.loads(used)),
-                tuple(json.loads(refused)),
-            )
-            for frame, stamp_s, pose, covariance, lost, used, refused in self._query(query)
-        ]
+        return [self._rows.estimate(row) for row in self._query(query)]
 
     def _query(self, sql: str) -> list[tuple[Any, ...]]:
         try:
             return self._db.execute(sql).fetchall()
         except sqlite3.Error as error:
             raise InputError(f"cannot be read ({error})", source=self._path) from error
-
-    def _unpack(self, blob: bytes, where: str) -> Any:
-        try:
-            return np.load(io.BytesIO(blob), allow_pickle=False)
-        except (ValueError, EOFError) as error:
-            raise InputError(
-                f"holds a damaged array ({error})", source=self._path, field=where
-            ) from error
-
-
-def _pack(array: Any) -> bytes:
-    array = np.asarray(array)
-    buffer = io.BytesIO()
-    np.save(buffer, array.astype(array.dtype.newbyteorder("<")), allow_pickle=False)
-    return buffer.getvalue()

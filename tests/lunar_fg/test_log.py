@@ -42,6 +42,10 @@ def same(a, b):
         assert type(a) is type(b)
         for field in dataclasses.fields(a):
             same(getattr(a, field.name), getattr(b, field.name))
+    elif isinstance(a, list):
+        assert len(a) == len(b)
+        for left, right in zip(a, b, strict=True):
+            same(left, right)
     elif isinstance(a, np.ndarray):
         assert a.dtype == b.dtype
         assert a.shape == b.shape
@@ -94,6 +98,46 @@ def test_a_keyframe_is_written_whole_or_not_at_all(written, traverse, tmp_path):
         assert [k.index for k in log.keyframes()] == [0]
         log.append(traverse.keyframes[1], estimates[1])
         assert len(log.estimates()) == 2
+
+
+def test_rewrite_replaces_all_or_nothing(written, traverse, tmp_path):
+    _, header, estimates = written
+    corrected = [
+        dataclasses.replace(k, relative=dataclasses.replace(k.relative, reason="measured anew"))
+        for k in traverse.keyframes[1:4]
+    ]
+    with TraverseLog.create(tmp_path / "new.db", header) as log:
+        for keyframe, estimate in zip(traverse.keyframes[:6], estimates, strict=False):
+            log.append(keyframe, estimate)
+        entries = list(zip(corrected, estimates[4:7], strict=True))
+        with pytest.raises(InputError, match="keyframe 2"):
+            log.rewrite([*entries, entries[1]])
+        broken = dataclasses.replace(estimates[1], refused=(object(),))
+        with pytest.raises(TypeError):
+            log.rewrite([entries[0], (corrected[1], broken)])
+        assert [k.index for k in log.keyframes()] == list(range(6))
+        same(log.keyframes()[3], traverse.keyframes[3])
+        log.rewrite(entries)
+        same(log.keyframes(), corrected)
+        got = log.estimates()
+        assert [e.index for e in got] == [1, 2, 3]
+        np.testing.assert_array_equal(got[0].map_T_rover, estimates[4].map_T_rover)
+        same(log.header(), header)
+        log.append(traverse.keyframes[9], estimates[9])
+        assert [k.index for k in log.keyframes()] == [1, 2, 3, 9]
+        log.rewrite([])
+        assert log.keyframes() == []
+        assert log.estimates() == []
+
+
+def test_a_reader_sees_the_old_keyframes_until_a_rewrite_is_whole(written, traverse, tmp_path):
+    _, header, estimates = written
+    with TraverseLog.create(tmp_path / "live.db", header) as log:
+        log.append(traverse.keyframes[0], estimates[0])
+        with TraverseLog.open(tmp_path / "live.db") as reader:
+            assert [k.index for k in reader.keyframes()] == [0]
+            log.rewrite([(traverse.keyframes[1], estimates[1])])
+            assert [k.index for k in reader.keyframes()] == [1]
 
 
 def test_bad_files_are_named(written, tmp_path):

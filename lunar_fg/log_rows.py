@@ -1,0 +1,150 @@
+"""What the traverse log's tables hold, and how measurements become rows and come back.
+
+Arrays are stored as NumPy's own ``.npy`` bytes without pickle: little-endian, with dtype and
+shape, so what is read back is what was written, bit for bit.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from frontends.errors import InputError
+from frontends.measurements import (
+    Estimate,
+    Odometry,
+    RelativePose,
+    StereoObservations,
+    Tilt,
+    Verdict,
+)
+from lunar_fg.graph.keyframe import Keyframe
+
+TABLES = """
+CREATE TABLE run (only INTEGER PRIMARY KEY CHECK (only = 1), camera TEXT NOT NULL,
+    rover_T_camera BLOB NOT NULL, start TEXT NOT NULL, start_pose BLOB NOT NULL,
+    config TEXT NOT NULL);
+CREATE TABLE keyframe (frame INTEGER PRIMARY KEY, stamp_s REAL NOT NULL,
+    tilt_roll_rad REAL, tilt_pitch_rad REAL, tilt_sigma_rad REAL,
+    odometry_pose BLOB, odometry_covariance BLOB);
+CREATE TABLE observations (frame INTEGER PRIMARY KEY REFERENCES keyframe,
+    landmark_id BLOB NOT NULL, u_left BLOB NOT NULL, u_right BLOB NOT NULL, v BLOB NOT NULL,
+    sigma_px BLOB NOT NULL, sigma_disparity_px BLOB NOT NULL, points_cam BLOB NOT NULL,
+    points_covariance BLOB NOT NULL);
+CREATE TABLE relative (frame INTEGER PRIMARY KEY REFERENCES keyframe,
+    pose BLOB NOT NULL, covariance BLOB NOT NULL, inlier_ids BLOB NOT NULL,
+    correspondences INTEGER NOT NULL, verdict TEXT NOT NULL, reason TEXT NOT NULL);
+CREATE TABLE estimate (frame INTEGER PRIMARY KEY REFERENCES keyframe,
+    pose BLOB NOT NULL, covariance BLOB NOT NULL, lost INTEGER NOT NULL, used TEXT NOT NULL,
+    refused TEXT NOT NULL);
+"""
+#: Those that hold keyframes, each after the ones that refer to it.
+KEYFRAME_TABLES = ("estimate", "relative", "observations", "keyframe")
+
+
+def pack(array: Any) -> bytes:
+    """Bytes of an array."""
+    array = np.asarray(array)
+    buffer = io.BytesIO()
+    np.save(buffer, array.astype(array.dtype.newbyteorder("<")), allow_pickle=False)
+    return buffer.getvalue()
+
+
+def rows_of(keyframe: Keyframe, estimate: Estimate) -> Iterator[tuple[str, tuple[object, ...]]]:
+    """Tables and rows of a keyframe and its estimate."""
+    frame, tilt, odometry = keyframe.index, keyframe.tilt, keyframe.odometry
+    yield "keyframe", (
+        frame, keyframe.stamp_s,
+        *((tilt.roll_rad, tilt.pitch_rad, tilt.sigma_rad) if tilt else (None,) * 3),
+        *((pack(odometry.a_T_b), pack(odometry.covariance)) if odometry else (None,) * 2),
+    )  # fmt: skip
+    observations, relative = keyframe.observations, keyframe.relative
+    if observations is not None:
+        arrays = (getattr(observations, field.name) for field in fields(observations))
+        yield "observations", (frame, *(pack(array) for array in arrays))
+    if relative is not None:
+        yield "relative", (
+            frame, pack(relative.a_T_b), pack(relative.covariance), pack(relative.inlier_ids),
+            relative.correspondences, relative.verdict.value, relative.reason,
+        )  # fmt: skip
+    yield "estimate", (
+        frame, pack(estimate.map_T_rover), pack(estimate.covariance), int(estimate.lost),
+        json.dumps(estimate.used), json.dumps(estimate.refused),
+    )  # fmt: skip
+
+
+class RowReader:
+    """Turns rows back into measurements.
+
+    Parameters
+    ----------
+    path
+        The log, for errors.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def array(self, blob: bytes, where: str) -> Any:
+        """Read an array.
+
+        Raises
+        ------
+        InputError
+            It is damaged, or holds Python objects.
+        """
+        try:
+            return np.load(io.BytesIO(blob), allow_pickle=False)
+        except (ValueError, EOFError) as error:
+            raise InputError(
+                f"holds a damaged array ({error})", source=self._path, field=where
+            ) from error
+
+    def keyframe(
+        self,
+        row: tuple[Any, ...],
+        observations: tuple[Any, ...] | None,
+        relative: tuple[Any, ...] | None,
+    ) -> Keyframe:
+        """Build a keyframe from its row and those of what it measured, if anything."""
+        frame, stamp_s, roll, pitch, sigma, pose, covariance = row
+        where = f"keyframe {frame}"
+        odometry = None
+        if pose is not None:
+            odometry = Odometry(self.array(pose, where), self.array(covariance, where))
+        return Keyframe(
+            frame,
+            stamp_s,
+            None if observations is None else self._observations(observations, where),
+            None if relative is None else self._relative(relative, where),
+            odometry,
+            None if sigma is None else Tilt(roll, pitch, sigma),
+        )
+
+    def _observations(self, row: tuple[Any, ...], where: str) -> StereoObservations:
+        return StereoObservations(*(self.array(blob, where) for blob in row[1:]))
+
+    def _relative(self, row: tuple[Any, ...], where: str) -> RelativePose:
+        _, pose, covariance, inliers, correspondences, verdict, reason = row
+        a_T_b, matrix, ids = (self.array(blob, where) for blob in (pose, covariance, inliers))
+        return RelativePose(a_T_b, matrix, ids, correspondences, Verdict(verdict), reason)
+
+    def estimate(self, row: tuple[Any, ...]) -> Estimate:
+        """Build an estimate from (frame, stamp_s, pose, covariance, lost, used, refused)."""
+        frame, stamp_s, pose, covariance, lost, used, refused = row
+        where = f"keyframe {frame}"
+        return Estimate(
+            frame,
+            stamp_s,
+            self.array(pose, where),
+            self.array(covariance, where),
+            bool(lost),
+            tuple(json.loads(used)),
+            tuple(json.loads(refused)),
+        )
