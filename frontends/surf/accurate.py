@@ -1,10 +1,7 @@
-"""The descriptor for wide baselines and absolute matching: finer samples, overlapping subregions.
+"""The descriptor for wide baselines and absolute matching: finer samples.
 
 Where the fast descriptor takes one box sum a lattice point, this one adds 2 x 2 bilinear samples
-of pitch s/2 a cell, which follows a turned Haar wavelet closely; the window is 24s wide, and each
-response counts in the two nearest subregions along each axis, with linear weights, so that a
-feature which moves across their border changes the descriptor little. Still SURF: sums of
-dx, dy, |dx| and |dy| in 4 x 4 subregions.
+of pitch s/2 a cell, which follows a turned Haar wavelet closely, and the window is 24s wide.
 """
 
 from __future__ import annotations
@@ -17,23 +14,8 @@ from numpy.typing import NDArray
 from frontends.surf._jit import kernel
 from frontends.surf.subregions import normalise
 
-_RESPONSES = 24  # a row of Haar responses
+RESPONSES = 24  # a row of Haar responses
 _CELLS = 25  # a row of cells of side s; a wavelet spans 2 x 2
-_SUBREGION = 5.0  # distance of the subregions' centres, in s
-_SIGMA = 5.0  # of the window's Gaussian, in s
-
-
-def subregion_weights() -> NDArray[np.float32]:
-    """Weights of the 24 responses along one axis in each of the 4 subregions.
-
-    Returns
-    -------
-    ndarray (4, 24) float32
-    """
-    axis = np.arange(_RESPONSES) - (_RESPONSES - 1) / 2
-    centres = _SUBREGION * (np.arange(4) - 1.5)
-    linear = np.maximum(0, 1 - np.abs(axis - centres[:, None]) / _SUBREGION)
-    return np.asarray(linear * np.exp(axis**2 / (-2 * _SIGMA**2)), np.float32)
 
 
 @kernel
@@ -65,7 +47,7 @@ def describe_accurate(
     out : ndarray (N, 64) float32
     """
     cells = np.zeros((_CELLS, _CELLS), np.float32)
-    sums = np.zeros((4, 4, _RESPONSES), np.float32)  # subregion row, kind, column
+    sums = np.zeros((4, 4, RESPONSES), np.float32)  # subregion row, kind, column
     zero = np.float32(0)
     # a hair inside the last pixel, so that the one after it exists
     right = np.float32(image.shape[1] - 1.001)
@@ -93,8 +75,8 @@ def describe_accurate(
                     total += upper + fy * (c + fx * (d - c) - upper)
                 cells[i, j] = total
         sums[:] = 0
-        for i in range(_RESPONSES):
-            for j in range(_RESPONSES):
+        for i in range(RESPONSES):
+            for j in range(RESPONSES):
                 falling = cells[i + 1, j + 1] - cells[i, j]
                 rising = cells[i, j + 1] - cells[i + 1, j]
                 dx = falling + rising
@@ -109,7 +91,7 @@ def describe_accurate(
             for block in range(4):
                 for kind in range(4):
                     total = zero
-                    for j in range(_RESPONSES):
+                    for j in range(RESPONSES):
                         total += weights[block, j] * sums[band, kind, j]
                     out[which, 16 * band + 4 * block + kind] = total
         normalise(out, which)

@@ -13,11 +13,6 @@ from numpy.typing import NDArray
 from frontends.surf._jit import njit
 from frontends.surf.integral import FRACTION_BITS
 
-# (0.9 Dxy)^2 of eq. 10, for lobe means: the paper's 0.9 is for sums, and a Dxy lobe has 3/5 of
-# the area of a Dxx lobe. OpenCV puts 0.9 on the means, which costs 3 to 10 % of the matches on
-# low-texture ground (benchmarks/surf_quality.py).
-WEIGHT2 = np.float32((0.9 * 3 / 5) ** 2)
-
 
 @njit
 def lobe_wing(lobe: int) -> int:
@@ -26,6 +21,20 @@ def lobe_wing(lobe: int) -> int:
     5, 9, 11, 15 for L = 9, 15, 21, 27, as in OpenCV: the shape stays that of the 9 x 9 filter.
     """
     return 5 * lobe // 6
+
+
+@njit
+def weight_xy(lobe: int) -> np.float32:
+    """Weight of Dxy in the determinant (the 0.9 of eq. 10), for lobe means.
+
+    The paper's 0.9 is for sums, and a Dxy lobe of the 9 x 9 filter has 3/5 of the area of a Dxx
+    lobe: 0.54 for means. There it makes the determinant turn with the image: on isotropic
+    texture, w Dxy then varies as much as (Dxx - Dyy) / 2, which is Dxy turned by 45 degrees.
+    Keeping that property for the larger filters, whose Dxy lobes lie relatively closer, takes
+    0.55, 0.59, 0.61, 0.63, 0.64 for L = 9 .. 33 on texture with power 1 / f^2, which this fits.
+    OpenCV puts 0.9 on the means; that costs 3 to 10 % of the matches on low-texture ground.
+    """
+    return np.float32(0.66) - np.float32(0.33) / np.float32(lobe)
 
 
 @njit
@@ -82,4 +91,5 @@ def response_at(
     xx = scale * np.float32(dxx)
     yy = scale * np.float32(dyy)
     xy = scale_xy * np.float32(dxy)
-    return xx * yy - WEIGHT2 * xy * xy, xx + yy
+    xy *= weight_xy(lobe)
+    return xx * yy - xy * xy, xx + yy

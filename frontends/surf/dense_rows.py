@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontends.surf._jit import njit
-from frontends.surf.box_filters import WEIGHT2, lobe_wing
+from frontends.surf.box_filters import lobe_wing, weight_xy
 from frontends.surf.integral import PAD, padded_length
 
 RING = 64  # integral rows kept in 16 bits: a power of two, more than the tallest filter
@@ -193,11 +193,11 @@ def dense_row(
 
     unit = np.float32(1 << shift)
     area = np.float32(lobe * (2 * wing + 1))
-    area_xy = np.float32(lobe * lobe)
+    unit_xy = weight_xy(lobe) * unit / np.float32(lobe * lobe)
     _determinant(
         work,
         (unit / area) * (unit / area),
-        WEIGHT2 * (unit / area_xy) * (unit / area_xy),
+        unit_xy * unit_xy,
         out,
         layer,
         slot,

@@ -5,22 +5,22 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from frontends.surf.accurate import describe_accurate, subregion_weights
+from frontends.surf.accurate import RESPONSES, describe_accurate
 from frontends.surf.integral import PAD
 from frontends.surf.keypoints import Keypoints
 from frontends.surf.orientation import orient_level, sample_weights
 from frontends.surf.pyramid import Pyramid
 from frontends.surf.rotated import describe_rotated_level
-from frontends.surf.subregions import DESCRIPTOR_SIZE, window_weights
+from frontends.surf.subregions import DESCRIPTOR_SIZE, LANES, subregion_weights
 from frontends.surf.upright import describe_upright_level
 
 _SMALLEST_SIZE = 12.0  # size at which a keypoint moves to the next level's image
 _LARGEST_SCALE = 3.6  # s in pixels of a level: what the padding has room for
 _SCALE_OF_SIZE = 1.2 / 9  # a filter of side L stands for a Gaussian of 1.2 / 9 L
 
-_WINDOW = window_weights()
+_WINDOW = subregion_weights(20, LANES)
 _SAMPLES = sample_weights()
-_SUBREGIONS = subregion_weights()
+_WIDE_WINDOW = subregion_weights(RESPONSES, RESPONSES)
 
 
 def describe(
@@ -71,7 +71,7 @@ def describe(
         turns = np.zeros_like(angles) if upright else angles
         if accurate:
             image, pixels = pyramid.scaled(level), edges - np.float32(0.5)
-            describe_accurate(image, pixels, scales, order, turns, _SUBREGIONS, descriptors)
+            describe_accurate(image, pixels, scales, order, turns, _WIDE_WINDOW, descriptors)
         else:
             boxes = pyramid.boxes(level)
             describe_rotated_level(boxes, centres, scales, order, turns, _WINDOW, descriptors)

@@ -79,6 +79,7 @@ def detect(
     threshold: float,
     wanted: int | None,
     mask: NDArray[np.bool_] | None,
+    guess: float = 0.0,
 ) -> Keypoints:
     """Keypoints of one image, strongest first, all at angle 0.
 
@@ -93,16 +94,39 @@ def detect(
         Keep the strongest.
     mask : ndarray (H, W) bool, optional
         Where keypoints are allowed.
+    guess : float
+        A response that the weakest of the `wanted` may reach. It saves work if so, and an image
+        is looked through twice if not; the result is the same.
     """
-    pairs = _candidates(pyramid, octaves, layers, threshold)
+    rows = np.empty((0, 6), np.float32)
+    if wanted is not None and guess > threshold:
+        rows = _strongest(_candidates(pyramid, octaves, layers, guess), wanted, mask)
+    if wanted is None or len(rows) < wanted:
+        rows = _strongest(_candidates(pyramid, octaves, layers, threshold), wanted, mask)
+    # equal responses stay in scan order: the result does not depend on the sort
+    rows = rows[np.argsort(-rows[:, 3], kind="stable")[:wanted]]
+    return Keypoints(
+        rows[:, :2],
+        rows[:, 2],
+        np.zeros(len(rows), np.float32),
+        rows[:, 3],
+        rows[:, 5].astype(np.int32),
+        np.sign(rows[:, 4]).astype(np.int8),
+    )
+
+
+def _strongest(
+    pairs: list[_Candidates], wanted: int | None, mask: NDArray[np.bool_] | None
+) -> NDArray[np.float32]:
+    """Refined keypoints, among them the `wanted` strongest: rows of `_Candidates.refined`."""
+    rows = np.empty((0, 6), np.float32)
     if not pairs:
-        return Keypoints.empty()
+        return rows
     responses = np.concatenate([pair.responses for pair in pairs])
     # Only the strongest candidates need refining. About half of them survive it; should
     # fewer do, the next share follows, so the result is the same as without this shortcut.
     batch = responses.size if wanted is None else int(2.2 * wanted) + 64
     above = np.inf
-    rows = np.empty((0, 6), np.float32)
     while True:
         least = -np.inf
         if batch < responses.size:
@@ -114,19 +138,9 @@ def detect(
             line = np.rint(rows[:, 1]).astype(np.intp)
             rows = rows[mask[line, column]]
         if least == -np.inf or (wanted is not None and len(rows) >= wanted):
-            break
+            return rows
         above = least
         batch *= 2
-    # equal responses stay in scan order: the result does not depend on the sort
-    rows = rows[np.argsort(-rows[:, 3], kind="stable")[:wanted]]
-    return Keypoints(
-        rows[:, :2],
-        rows[:, 2],
-        np.zeros(len(rows), np.float32),
-        rows[:, 3],
-        rows[:, 5].astype(np.int32),
-        np.sign(rows[:, 4]).astype(np.int8),
-    )
 
 
 def _candidates(pyramid: Pyramid, octaves: int, layers: int, threshold: float) -> list[_Candidates]:

@@ -93,16 +93,20 @@ def _store_candidate(
     if not _first_of_ties(dense, layer, centre, k):
         return 0
     if count < positions.shape[0]:
-        positions[count, 0] = layer
-        positions[count, 1] = centre
-        positions[count, 2] = x
-        responses[count] = dense[layer, centre & 3, k]
-        i = 0
+        target = np.uint64(count)
+        positions[target, 0] = layer
+        positions[target, 1] = centre
+        positions[target, 2] = x
+        responses[target] = dense[layer, centre & 3, k]
+        left = np.uint64(k - 1)
         for other in range(2):
-            for row in range(centre - 1, centre + 2):
-                for col in range(k - 1, k + 2):
-                    neighbours[count, i] = dense[other, row & 3, col]
-                    i += 1
+            for row in range(3):
+                slot = (centre + row - 1) & 3
+                first = 9 * other + 3 * row
+                for col in range(3):
+                    neighbours[target, np.uint64(first + col)] = dense[
+                        other, slot, left + np.uint64(col)
+                    ]
     return 1
 
 

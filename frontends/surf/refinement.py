@@ -14,10 +14,12 @@ from frontends.surf.integral import PAD
 def refine(
     integral: NDArray[np.int32],
     lobe: int,
-    position: NDArray[np.int32],
-    dense: NDArray[np.float32],
+    positions: NDArray[np.int32],
+    neighbours: NDArray[np.float32],
+    which: int,
     cube: NDArray[np.float32],
     out: NDArray[np.float32],
+    target: int,
 ) -> bool:
     """Check one candidate against its outer layer and interpolate it (3-D quadratic).
 
@@ -27,28 +29,31 @@ def refine(
         Padded integral image in grey*4.
     lobe : int
         l of the lower dense layer of the pair.
-    position : ndarray (3,) int32
-    dense : ndarray (18,) float32
-        As stored by `detect_pair`.
+    positions, neighbours : ndarray
+        As stored by `detect_pair`; whole, because a slice costs a reference count.
+    which : int
+        Row of them.
     cube : ndarray (3, 3, 3) float32
         Scratch.
-    out : ndarray (5,) float32
-        x, y (pixels of this level), size (side L of the filter), response, trace.
+    out : ndarray (N, 5) float32
+    target : int
+        Row of `out` to write: x, y (pixels of this level), size (side L of the filter),
+        response, trace.
 
     Returns
     -------
     bool
         False where the outer layer is as high or the maximum lies outside the neighbourhood.
     """
-    layer = position[0]
-    row = position[1] + PAD
-    col = position[2] + PAD
+    layer = int(positions[which, 0])
+    row = int(positions[which, 1]) + PAD
+    col = int(positions[which, 2]) + PAD
     outer = 0 if layer == 0 else 2
     k = 0
     for i in range(2):
         for j in range(3):
             for m in range(3):
-                cube[i + 1 - layer, j, m] = dense[k]
+                cube[i + 1 - layer, j, m] = neighbours[which, k]
                 k += 1
     value = cube[1, 1, 1]
     outer_lobe = lobe - 2 if layer == 0 else lobe + 4
@@ -88,11 +93,11 @@ def refine(
         return False
     centre_lobe = lobe + 2 * layer
     _, trace = response_at(integral, row, col, centre_lobe)
-    out[0] = position[2] + dx
-    out[1] = position[1] + dy
-    out[2] = 3 * centre_lobe + 6 * ds
-    out[3] = value
-    out[4] = trace
+    out[target, 0] = np.float32(col - PAD) + dx
+    out[target, 1] = np.float32(row - PAD) + dy
+    out[target, 2] = 3 * centre_lobe + 6 * ds
+    out[target, 3] = value
+    out[target, 4] = trace
     return True
 
 
@@ -120,6 +125,6 @@ def refine_all(
     cube = np.empty((3, 3, 3), np.float32)
     kept = 0
     for i in chosen:
-        if refine(integral, lobe, positions[i], neighbours[i], cube, out[kept]):
+        if refine(integral, lobe, positions, neighbours, i, cube, out, kept):
             kept += 1
     return kept

@@ -70,8 +70,8 @@ def describe_rotated(
         s in pixels.
     angle : float
         Radians from the x axis towards the y axis.
-    weights : ndarray (24,) float32
-        From `window_weights`.
+    weights : ndarray (4, 24) float32
+        From `subregion_weights`.
     index, rows, pairs, patch, haar, sums : ndarray
         Scratch: uint64 (24,), float32 (2, 24), uint32 (2, 24), float32 (21, 32),
         float32 (2, 20, 24), float32 (4, 24).

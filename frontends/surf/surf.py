@@ -18,6 +18,9 @@ from frontends.surf.pyramid import Buffers, Pyramid
 from frontends.surf.subregions import DESCRIPTOR_SIZE
 from frontends.surf.warmup import load
 
+_GUESS_SHARE = 0.8  # of the last image's weakest response: images of a sequence are alike
+_GUESS_RISE = 0.1
+
 
 class SURF:
     """Speeded-up robust features (Bay et al. 2008).
@@ -76,6 +79,7 @@ class SURF:
         self.upright = bool(upright)
         self.max_keypoints = max_keypoints
         self.accurate = bool(accurate)
+        self._guess = 0.0
         self._spare: list[Buffers] = []  # pop and append are atomic
 
     def detectAndCompute(
@@ -114,7 +118,9 @@ class SURF:
                 self.hessian_threshold,
                 self.max_keypoints,
                 allowed,
+                self._guess,
             )
+            self._learn(keypoints)
             descriptors, angles = describe(
                 pyramid, keypoints, upright=self.upright, accurate=self.accurate, assign=True
             )
@@ -176,6 +182,16 @@ class SURF:
             yield Pyramid(self._working_image(grey), buffers)
         finally:
             self._spare.append(buffers)
+
+    def _learn(self, keypoints: Keypoints) -> None:
+        """Guess the weakest response that the next image will need, from this one's."""
+        if len(keypoints) != self.max_keypoints:
+            self._guess = 0.0
+            return
+        fresh = _GUESS_SHARE * float(keypoints.response[-1])
+        # falls at once and rises slowly: a guess that is too high costs a second look
+        rise = 1.0 if self._guess == 0 else _GUESS_RISE
+        self._guess += (fresh - self._guess) * (rise if fresh > self._guess else 1.0)
 
     def _working_image(self, grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Give the image features are looked for in: twice the size in accurate mode."""

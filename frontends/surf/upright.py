@@ -38,8 +38,8 @@ def describe_upright(
         Centre, in pixel edges of the padded image.
     scale : float
         s in pixels.
-    weights : ndarray (24,) float32
-        From `window_weights`.
+    weights : ndarray (4, 24) float32
+        From `subregion_weights`.
     line, columns, fractions, lattice : ndarray
         Scratch of `sample_lattice`, the lattice (22, 32).
     haar, sums : ndarray
@@ -89,8 +89,8 @@ def describe_upright_level(
         s in pixels of the level.
     order : ndarray (M,) int64
         Which keypoints, in the order to visit them.
-    weights : ndarray (24,) float32
-        From `window_weights`.
+    weights : ndarray (4, 24) float32
+        From `subregion_weights`.
     out : ndarray (N, 64) float32
     """
     line = np.zeros(LINE_LENGTH, np.int32)

@@ -34,7 +34,7 @@ _COMMON: _Kernels = (
 _UPRIGHT: _Kernels = (
     (
         describe_upright_level,
-        "void(int32[:,::1], float32[:,::1], float32[::1], int64[::1], float32[::1],"
+        "void(int32[:,::1], float32[:,::1], float32[::1], int64[::1], float32[:,::1],"
         " float32[:,::1])",
     ),
 )
@@ -50,7 +50,7 @@ _ROTATED: _Kernels = (
     (
         describe_rotated_level,
         "void(uint32[:,::1], float32[:,::1], float32[::1], int64[::1], float32[::1],"
-        " float32[::1], float32[:,::1])",
+        " float32[:,::1], float32[:,::1])",
     ),
 )
 _ACCURATE: _Kernels = (

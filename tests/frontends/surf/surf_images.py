@@ -68,8 +68,7 @@ def hessian_reference(
 
     The filters are drawn as in the paper's figure: 9 x 9 has lobes of 3 x 5 and 3 x 3, larger
     ones keep the proportions (long side 5/9 of the filter, the nearest odd number of pixels
-    towards the centre). The 0.9 weighs Dxy against Dxx as plain sums; both are then divided
-    by the area of a Dxx lobe.
+    towards the centre). Dxy is weighed so that the determinant turns with the image.
     """
     lobe = side // 3
     long = {9: 5, 15: 9, 21: 11, 27: 15}[side]
@@ -89,11 +88,10 @@ def hessian_reference(
 
     yy = respond(dyy) / (lobe * long)
     xx = respond(dyy.T) / (lobe * long)
-    # the area ratio is exactly 3/5 in the 9 x 9 filter and taken as that for all
-    xy = respond(dxy) / (lobe * lobe) * 3 / 5
+    xy = respond(dxy) / (lobe * lobe) * (0.66 - 0.33 / lobe)
     det = np.full(grey.shape, np.nan)
     trace = det.copy()
     inside = (slice(half, -half), slice(half, -half))
-    det[inside] = xx * yy - (0.9 * xy) ** 2
+    det[inside] = xx * yy - xy**2
     trace[inside] = xx + yy
     return det, trace

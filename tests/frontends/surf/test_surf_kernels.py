@@ -12,7 +12,7 @@ from frontends.surf import SURF, Keypoints
 from frontends.surf.box_filters import response_at
 from frontends.surf.integral import PAD, half_image, integral_image
 from frontends.surf.maxima import NEIGHBOURS, detect_pair
-from frontends.surf.subregions import window_weights
+from frontends.surf.subregions import subregion_weights
 
 
 @settings(max_examples=30, deadline=None)
@@ -166,7 +166,7 @@ def _descriptor_reference(image: np.ndarray, x: int, y: int, scale: int) -> np.n
         return float(fine[int(2 * y0) : int(2 * y1), int(2 * x0) : int(2 * x1)].sum())
 
     out = np.zeros((4, 4, 4))
-    weights = window_weights()
+    weights = subregion_weights(20, 20).astype(float)
     for i in range(20):
         for j in range(20):
             cy = edge_y + (i - 9.5) * scale
@@ -174,8 +174,8 @@ def _descriptor_reference(image: np.ndarray, x: int, y: int, scale: int) -> np.n
             top, bottom, left, right = cy - scale, cy + scale, cx - scale, cx + scale
             dx = box(top, bottom, cx, right) - box(top, bottom, left, cx)
             dy = box(cy, bottom, left, right) - box(top, cy, left, right)
-            dx, dy = weights[i] * weights[j] * np.array([dx, dy])
-            out[i // 5, j // 5] += (dx, dy, abs(dx), abs(dy))
+            share = np.outer(weights[:, i], weights[:, j])
+            out += share[:, :, None] * np.array([dx, dy, abs(dx), abs(dy)])
     return out.ravel() / np.linalg.norm(out)
 
 
