@@ -1,17 +1,21 @@
-"""What the graph costs a keyframe, and how well its ways agree; a table and JSON.
+"""What the graph costs a keyframe, and how well its ways agree; tables and JSON.
 
-Run from the checkout: ``python -m benchmarks.graph [--keyframes 200] [--json OUT]``. CPU time of
-the process, so a busy machine disturbs little; set OPENBLAS_NUM_THREADS=1 for steadier figures.
+Run from the checkout: ``python -m benchmarks.graph [--most 10000] [--json OUT]``. CPU time of the
+process, so a busy machine disturbs little. All ways take each keyframe in turn, so that what
+disturbs one disturbs all. "plain iSAM2" is what most tutorials do: every landmark in GTSAM's
+ISAM2 with its default parameters and its own ordering, from the same gated tracks.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import process_time
 
+import gtsam
 import numpy as np
 
 from frontends.camera import StereoCamera
@@ -25,25 +29,11 @@ from lunar_fg.graph import (
     SmoothedTrajectory,
     optimize_batch,
 )
+from lunar_fg.graph.factors import pose_key
+from lunar_fg.graph.landmarks import WholeGraph, map_point
 from lunar_fg.simulation.measurements import TraverseSpec, simulate
 
-
-@dataclass(frozen=True)
-class Row:
-    """One way on one data set; gaps are against batch."""
-
-    data: str
-    way: str
-    keyframes: int
-    ms_mean: float
-    ms_median: float
-    ms_p95: float
-    ms_max: float
-    finish_ms: float
-    gap_max_m: float
-    gap_max_deg: float
-    ate_m: float | None
-    nees_last: float | None
+Feed = Callable[[Keyframe], object]
 
 
 @dataclass(frozen=True)
@@ -58,29 +48,131 @@ class Data:
     truth: FloatArray | None
 
 
-def incremental(data: Data, mode: str) -> tuple[SmoothedTrajectory, list[float], float]:
+@dataclass(frozen=True)
+class Cost:
+    """Cost a keyframe over the last keyframes before `keyframes`, and of all so far."""
+
+    way: str
+    keyframes: int
+    ms_median: float
+    ms_mean: float
+    ms_p95: float
+    ms_max: float
+    total_s: float
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """One way on one data set; gaps are against batch."""
+
+    data: str
+    way: str
+    keyframes: int
+    seconds: float
+    gap_max_m: float
+    gap_max_deg: float
+    ate_m: float | None
+    nees_last: float | None
+
+
+class PlainIsam:
+    """Every landmark in ISAM2, default parameters."""
+
+    def __init__(self, data: Data) -> None:
+        self._data = data
+        self._whole = WholeGraph(data.camera, data.rover_T_camera, data.start, GraphConfig())
+        self._isam = gtsam.ISAM2(gtsam.ISAM2Params())
+        self._count = 0
+
+    def add(self, keyframe: Keyframe) -> None:
+        """Enter a keyframe and ask for its pose and covariance."""
+        new = self._whole.add(keyframe)
+        here, values = self._count, gtsam.Values()
+        pose = self._data.start.map_T_rover
+        if new.previous_T_rover is not None:
+            pose = self._pose(here - 1) @ new.previous_T_rover
+        values.insert(pose_key(here), gtsam.Pose3(pose))
+        for key, ordinal, point in new.landmarks:
+            seen_from = pose if ordinal == here else self._pose(ordinal)
+            values.insert(key, map_point(seen_from, self._data.rover_T_camera, point))
+        self._isam.update(new.factors, values)
+        self._pose(here)
+        self._isam.marginalCovariance(pose_key(here))
+        self._count += 1
+
+    def _pose(self, ordinal: int) -> FloatArray:
+        return np.asarray(self._isam.calculateEstimatePose3(pose_key(ordinal)).matrix())
+
+
+def smoother(data: Data, mode: str) -> IncrementalSmoother:
     config = GraphConfig(landmarks="segments" if mode == "segments" else "full")
-    smoother = IncrementalSmoother(data.camera, data.rover_T_camera, data.start, config)
-    times = []
-    for keyframe in data.keyframes:
-        begin = process_time()
-        smoother.add(keyframe)
-        times.append(1e3 * (process_time() - begin))
-    begin = process_time()
-    smoother.finish()
-    return smoother.trajectory(), times, 1e3 * (process_time() - begin)
+    return IncrementalSmoother(data.camera, data.rover_T_camera, data.start, config)
 
 
-def row(
-    data: Data,
-    way: str,
-    result: tuple[SmoothedTrajectory, list[float], float],
-    reference: SmoothedTrajectory,
-) -> Row:
-    trajectory, times, finish = result
+def cost_against_length(data: Data, marks: Sequence[int], most: dict[str, int]) -> list[Cost]:
+    """Feed all ways keyframe by keyframe, each up to its own limit."""
+    feeds: dict[str, Feed] = {
+        "segments": smoother(data, "segments").add,
+        "full": smoother(data, "full").add,
+        "plain iSAM2": PlainIsam(data).add,
+    }
+    times: dict[str, list[float]] = {way: [] for way in feeds}
+    rows = []
+    for count, keyframe in enumerate(data.keyframes, start=1):
+        for way in list(feeds):
+            begin = process_time()
+            try:
+                feeds[way](keyframe)
+            except RuntimeError as error:
+                print(f"{way} ended at keyframe {count}: {str(error).strip().splitlines()[0]}")
+                del feeds[way]
+                continue
+            times[way].append(1e3 * (process_time() - begin))
+            if count in marks:
+                rows.append(cost(way, times[way]))
+            if count >= most[way]:
+                del feeds[way]
+        if not feeds:
+            break
+    return rows
+
+
+def cost(way: str, times: list[float]) -> Cost:
+    """Of the last tenth, at least 50: what a keyframe costs at this length."""
+    last = np.array(times[-max(50, len(times) // 10) :])
+    return Cost(
+        way,
+        len(times),
+        float(np.median(last)),
+        float(last.mean()),
+        float(np.percentile(last, 95)),
+        float(last.max()),
+        1e-3 * float(np.sum(times)),
+    )
+
+
+def agreement(data: Data) -> list[Agreement]:
+    results: dict[str, tuple[SmoothedTrajectory, float]] = {}
+    for mode in ("segments", "full"):
+        begin, graph = process_time(), smoother(data, mode)
+        for keyframe in data.keyframes:
+            graph.add(keyframe)
+        graph.finish()
+        results[mode] = graph.trajectory(), process_time() - begin
+    begin, first = process_time(), results["segments"][0]
+    batch = optimize_batch(
+        data.camera, data.rover_T_camera, data.start, data.keyframes, initial=first
+    ).trajectory
+    results["batch"] = batch, process_time() - begin
+    return [compared(data, way, *result, batch) for way, result in results.items()]
+
+
+def compared(
+    data: Data, way: str, trajectory: SmoothedTrajectory, seconds: float, batch: SmoothedTrajectory
+) -> Agreement:
     steps = [
         se3_log(inverse(a) @ b)
-        for a, b in zip(trajectory.map_T_rover, reference.map_T_rover, strict=True)
+        for a, b in zip(trajectory.map_T_rover, batch.map_T_rover, strict=True)
     ]
     ate = nees = None
     if data.truth is not None:
@@ -88,15 +180,11 @@ def row(
         ate = float(np.sqrt((gap**2).sum(axis=1).mean()))
         error = se3_log(inverse(trajectory.map_T_rover[-1]) @ data.truth[-1])
         nees = float(error @ np.linalg.solve(trajectory.covariance[-1], error) / 6.0)
-    return Row(
+    return Agreement(
         data.name,
         way,
         len(trajectory),
-        float(np.mean(times)),
-        float(np.median(times)),
-        float(np.percentile(times, 95)),
-        max(times),
-        finish,
+        seconds,
         max(float(np.linalg.norm(step[3:])) for step in steps),
         float(np.rad2deg(max(np.linalg.norm(step[:3]) for step in steps))),
         ate,
@@ -104,46 +192,54 @@ def row(
     )
 
 
-def measure(data: Data) -> list[Row]:
-    results = {mode: incremental(data, mode) for mode in ("segments", "full")}
-    begin = process_time()
-    batch = optimize_batch(
-        data.camera,
-        data.rover_T_camera,
-        data.start,
-        data.keyframes,
-        initial=results["segments"][0],
+def simulated(keyframes: int) -> Data:
+    """A traverse with wheels and inclinometer, about 100 observations a keyframe."""
+    run = simulate(TraverseSpec(keyframes=keyframes, odometry=True, tilt=True), seed=1)
+    return Data(
+        "simulated", run.camera, run.rover_T_camera, run.start, run.keyframes, run.map_T_rover
     )
-    spent = 1e3 * (process_time() - begin)
-    results["batch"] = (batch.trajectory, [spent / len(data.keyframes)], 0.0)
-    return [row(data, way, result, batch.trajectory) for way, result in results.items()]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--keyframes", type=int, default=200)
+    parser.add_argument("--most", type=int, default=10_000, help="keyframes for segments")
+    parser.add_argument("--most-full", type=int, default=600, help="keyframes for full landmarks")
+    parser.add_argument("--most-plain", type=int, default=300, help="keyframes for plain iSAM2")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    spec = TraverseSpec(keyframes=arguments.keyframes, odometry=True, tilt=True)
-    run = simulate(spec, seed=1)
-    simulated = Data(
-        "simulated", run.camera, run.rover_T_camera, run.start, run.keyframes, run.map_T_rover
-    )
+    most = {
+        "segments": arguments.most,
+        "full": arguments.most_full,
+        "plain iSAM2": arguments.most_plain,
+    }
+    marks = [n for n in (100, 300, 600, 1_000, 3_000, 10_000, 50_000) if n <= arguments.most]
+    long = simulated(arguments.most)
+    costs = cost_against_length(long, marks, most)
+    print("way          keyframes  ms median     mean      p95      max   total s")
+    for c in sorted(costs, key=lambda c: c.keyframes):
+        print(
+            f"{c.way:12} {c.keyframes:9} {c.ms_median:10.2f} {c.ms_mean:8.2f} {c.ms_p95:8.1f} "
+            f"{c.ms_max:8.1f} {c.total_s:9.2f}"
+        )
+    short = replace(long, keyframes=long.keyframes[:200], truth=_first(long.truth, 200))
     kitti = read_landmarks("00s")
     real = Data("KITTI-00s", kitti.camera, kitti.rover_T_camera, kitti.start, kitti.keyframes, None)
-    rows = [*measure(simulated), *measure(real)]
-    print(
-        "data       way       frames  ms mean median   p95   max finish  gap m   deg   ATE m  NEES"
-    )
-    for r in rows:
-        accuracy = "" if r.ate_m is None else f"  {r.ate_m:.3f}  {r.nees_last:.2f}"
+    agreements = [*agreement(short), *agreement(real)]
+    print("\ndata       way       keyframes  CPU s   gap m    deg   ATE m  NEES")
+    for a in agreements:
+        accuracy = "" if a.ate_m is None else f"  {a.ate_m:.3f}  {a.nees_last:.2f}"
         print(
-            f"{r.data:10} {r.way:9} {r.keyframes:6} {r.ms_mean:8.2f} {r.ms_median:6.2f} "
-            f"{r.ms_p95:6.1f} {r.ms_max:6.1f} {r.finish_ms:7.0f} {r.gap_max_m:7.4f} "
-            f"{r.gap_max_deg:6.4f}{accuracy}"
+            f"{a.data:10} {a.way:9} {a.keyframes:9} {a.seconds:6.2f} {a.gap_max_m:7.4f} "
+            f"{a.gap_max_deg:6.4f}{accuracy}"
         )
     if arguments.json:
-        arguments.json.write_text(json.dumps([asdict(r) for r in rows], indent=1))
+        found = {"cost": costs, "agreement": agreements}
+        text = json.dumps({k: [asdict(row) for row in rows] for k, rows in found.items()}, indent=1)
+        arguments.json.write_text(text)
+
+
+def _first(truth: FloatArray | None, count: int) -> FloatArray | None:
+    return None if truth is None else truth[:count]
 
 
 if __name__ == "__main__":

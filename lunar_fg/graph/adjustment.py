@@ -14,7 +14,7 @@ import numpy as np
 
 from frontends.camera import StereoCamera
 from frontends.errors import EstimationError
-from frontends.geometry import adjoint, inverse, se3_log, skew
+from frontends.geometry import inverse
 from frontends.measurements import FloatArray, IntArray
 from lunar_fg.graph import kernels
 from lunar_fg.graph.tracks import Sightings, homogeneous, lens
@@ -121,18 +121,15 @@ class WindowSolver:
         self._whiten = kernels.whiteners(window.sightings.covariance)
         first = np.flatnonzero(np.diff(window.landmark, prepend=-1))
         self._starts = np.append(first, len(window.landmark)).astype(np.int64)
-        self._motion_whiten = [
-            np.linalg.inv(np.linalg.cholesky(motion.covariance)) for motion in window.motions
-        ]
+        motions = window.motions
+        self._motion_ends = np.array([[m.first, m.second] for m in motions]).reshape(-1, 2)
+        self._motion_back = inverse(_stacked([m.a_T_b for m in motions], 4))
+        roots = np.linalg.cholesky(_stacked([m.covariance for m in motions], 6))
+        self._motion_roots = np.ascontiguousarray(np.linalg.inv(roots))
         self._poses = poses
         anchored = homogeneous(camera, window.sightings.uuv[first])
         points = np.einsum("lij,lj->li", poses[window.pose[first]], anchored)
         self._points = points / np.linalg.norm(points, axis=1, keepdims=True)
-
-    @staticmethod
-    def _motion_error(motion: Motion, poses: FloatArray) -> FloatArray:
-        measured = inverse(poses[motion.first]) @ poses[motion.second]
-        return se3_log(inverse(motion.a_T_b) @ measured)
 
     def _linearise(self, poses: FloatArray, points: FloatArray) -> _System:
         window = self._window
@@ -146,32 +143,11 @@ class WindowSolver:
             self._starts,
             self._threshold,
         )
-        cost += self._add_motions(poses, hessian, gradient)
+        first, second = self._motion_ends.T.astype(np.int64)
+        cost += kernels.add_motions(
+            poses, first, second, self._motion_back, self._motion_roots, hessian, gradient
+        )
         return _System(cost, hessian, gradient, (landmarks[0], landmarks[1], landmarks[2]))
-
-    def _add_motions(self, poses: FloatArray, hessian: FloatArray, gradient: FloatArray) -> float:
-        cost = 0.0
-        for motion, root in zip(self._window.motions, self._motion_whiten, strict=True):
-            error = self._motion_error(motion, poses)
-            # Derivative of the logarithm to first order in the error.
-            half_ad = np.zeros((6, 6))
-            half_ad[:3, :3] = half_ad[3:, 3:] = skew(error[:3])
-            half_ad[3:, :3] = skew(error[3:])
-            right = np.eye(6) + 0.5 * half_ad
-            back = adjoint(inverse(poses[motion.second]) @ poses[motion.first])
-            by_second = root @ right
-            by_first = -by_second @ back
-            white = root @ error
-            a = slice(6 * motion.first, 6 * motion.first + 6)
-            b = slice(6 * motion.second, 6 * motion.second + 6)
-            hessian[a, a] += by_first.T @ by_first
-            hessian[b, b] += by_second.T @ by_second
-            hessian[a, b] += by_first.T @ by_second
-            hessian[b, a] += by_second.T @ by_first
-            gradient[a] += by_first.T @ white
-            gradient[b] += by_second.T @ white
-            cost += 0.5 * float(white @ white)
-        return cost
 
     def _stepped(
         self,
@@ -223,6 +199,10 @@ class WindowSolver:
         freedom = 3 * len(self._window.pose) - 3 * (len(self._starts) - 1) - 6 * (self._n - 1)
         freedom += 6 * len(self._window.motions)
         return Adjusted(poses, covariance, 2.0 * system.cost, freedom, iterations, converged)
+
+
+def _stacked(matrices: list[FloatArray], size: int) -> FloatArray:
+    return np.array(matrices, dtype=np.float64).reshape(-1, size, size)
 
 
 def inverse_positive(matrix: FloatArray) -> FloatArray:

@@ -301,6 +301,119 @@ def moved(poses: FloatArray, step: FloatArray) -> FloatArray:
     return result
 
 
+@njit
+def _log(transform: FloatArray, out: FloatArray) -> None:
+    """Tangent vector (6,) of a rigid transform."""
+    r, w, t = transform, out[:3], transform[:3, 3]
+    w[0] = 0.5 * (r[2, 1] - r[1, 2])
+    w[1] = 0.5 * (r[0, 2] - r[2, 0])
+    w[2] = 0.5 * (r[1, 0] - r[0, 1])
+    sine = np.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+    cosine = 0.5 * (r[0, 0] + r[1, 1] + r[2, 2] - 1.0)
+    angle = np.arctan2(sine, cosine)
+    if sine > 1e-6:
+        for i in range(3):
+            w[i] *= angle / sine
+    elif cosine < 0.0:
+        # Half a turn: the axis is the largest column of R + I.
+        best = 0
+        for i in range(1, 3):
+            if r[i, i] > r[best, best]:
+                best = i
+        norm = np.sqrt(max(2.0 * (1.0 + r[best, best]), 1e-12))
+        for i in range(3):
+            w[i] = angle * (r[i, best] + (1.0 if i == best else 0.0)) / norm
+    square = angle * angle
+    if square < 1e-8:
+        curl = 1.0 / 12.0 + square / 720.0
+    else:
+        curl = (1.0 - 0.5 * angle * np.sin(angle) / (1.0 - np.cos(angle))) / square
+    _cross_twice(w, t, -0.5, curl, out[3:])
+
+
+@kernel
+def add_motions(
+    poses: FloatArray,
+    first: IntArray,
+    second: IntArray,
+    b_T_a: FloatArray,
+    roots: FloatArray,
+    hessian: FloatArray,
+    gradient: FloatArray,
+) -> float:
+    """Add measured motions to the normal equations; returns their cost.
+
+    `b_T_a` (K, 4, 4) are the inverses of the measured motions between poses `first` and
+    `second`, `roots` (K, 6, 6) the inverse Cholesky roots of their covariances.
+    """
+    cost = 0.0
+    between, error, white = np.eye(4), np.eye(4), np.empty(6)
+    xi, right, back = np.empty(6), np.empty((6, 6)), np.zeros((6, 6))
+    by_first, by_second = np.empty((6, 6)), np.empty((6, 6))
+    for k in range(len(first)):
+        p, q = poses[first[k]], poses[second[k]]
+        for i in range(3):
+            for j in range(4):
+                value = 0.0
+                for n in range(3):
+                    value += p[n, i] * (q[n, j] - (p[n, 3] if j == 3 else 0.0))
+                between[i, j] = value
+        for i in range(3):
+            for j in range(4):
+                value = b_T_a[k, i, 3] if j == 3 else 0.0
+                for n in range(3):
+                    value += b_T_a[k, i, n] * between[n, j]
+                error[i, j] = value
+        _log(error, xi)
+        # Derivative of the logarithm to first order in the error.
+        right[:] = 0.0
+        for i in range(6):
+            right[i, i] = 1.0
+        for row, column, at in ((0, 0, 0), (3, 3, 0), (3, 0, 3)):
+            right[row, column + 1] -= 0.5 * xi[at + 2]
+            right[row, column + 2] += 0.5 * xi[at + 1]
+            right[row + 1, column] += 0.5 * xi[at + 2]
+            right[row + 1, column + 2] -= 0.5 * xi[at]
+            right[row + 2, column] -= 0.5 * xi[at + 1]
+            right[row + 2, column + 1] += 0.5 * xi[at]
+        # Adjoint of the inverse of the motion.
+        x, y, z = between[0, 3], between[1, 3], between[2, 3]
+        for i in range(3):
+            for j in range(3):
+                back[i, j] = back[i + 3, j + 3] = between[j, i]
+            back[i + 3, 0] = between[2, i] * y - between[1, i] * z
+            back[i + 3, 1] = between[0, i] * z - between[2, i] * x
+            back[i + 3, 2] = between[1, i] * x - between[0, i] * y
+        root = roots[k]
+        for i in range(6):
+            white[i] = 0.0
+            for j in range(6):
+                white[i] += root[i, j] * xi[j]
+                value = 0.0
+                for n in range(6):
+                    value += root[i, n] * right[n, j]
+                by_second[i, j] = value
+            cost += 0.5 * white[i] * white[i]
+        for i in range(6):
+            for j in range(6):
+                value = 0.0
+                for n in range(6):
+                    value -= by_second[i, n] * back[n, j]
+                by_first[i, j] = value
+        a, b = 6 * first[k], 6 * second[k]
+        for i in range(6):
+            for j in range(6):
+                for n in range(6):
+                    hessian[a + i, a + j] += by_first[n, i] * by_first[n, j]
+                    hessian[b + i, b + j] += by_second[n, i] * by_second[n, j]
+                    hessian[a + i, b + j] += by_first[n, i] * by_second[n, j]
+                    hessian[b + i, a + j] += by_second[n, i] * by_first[n, j]
+                    if j == 0:
+                        gradient[a + i] += by_first[n, i] * white[n]
+                        gradient[b + i] += by_second[n, i] * white[n]
+    return cost
+
+
 @kernel
 def stepped(
     points: FloatArray,
@@ -449,6 +562,7 @@ def warm() -> None:
     )
     stepped(points, gradient, none, starts, landmarks[0], landmarks[1], landmarks[2], 1.0)
     moved(one, gradient)
+    add_motions(one, none, none, one, hessian[None] + np.eye(6), hessian, gradient)
     inverse_positive(hessian + np.eye(6))
     noise = np.stack([np.eye(3)] * 2)
     distances(lens, pixels, noise, pixels, noise, none, one, hessian[None])
