@@ -49,7 +49,7 @@ class DisparityCheckConfig:
         matches: added to every sigma.
     """
 
-    __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
+    __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
 
     mode: Literal["apply", "report", "off"] = "apply"
     frames: Annotated[int, Ge(2)] = 30
@@ -184,15 +184,20 @@ class DisparityCheck:
                 motion, _, _ = solve_motion(problem, start, kernel_sigma=self._KERNEL_SIGMA)
                 motions[k] = motion
                 whole, slope, chi2 = problem.linearise(motion, self._KERNEL_SIGMA)
+                spread = np.linalg.eigvalsh(whole[:6, :6])
+                if spread[0] <= 1e-12 * spread[-1]:
+                    continue  # such landmarks do not tell the motion
                 through = np.linalg.solve(whole[:6, :6], whole[:6, 6:]).T
                 information += whole[6:, 6:] - through @ whole[:6, 6:]
                 gradient += slope[6:] - through @ slope[:6]
                 ratio.append(float(np.median(chi2)) / chi2_distribution.median(df=3))
-            if not ratio or np.linalg.cond(information) > 1e12:
+            spread = np.linalg.eigvalsh(information)
+            if not ratio or spread[0] <= 1e-12 * spread[-1]:
                 return None
             step = np.linalg.solve(information, gradient)
             field += step
-            inflation = max(1.0, float(np.median(ratio)))
+            # a frame enters two pairs, once as the earlier and once as the later one
+            inflation = 2.0 * max(1.0, float(np.median(ratio)))
             covariance = np.asarray(inflation * np.linalg.inv(information), dtype=np.float64)
             if float(np.abs(step).max()) < 1e-3:
                 break

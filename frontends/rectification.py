@@ -4,7 +4,8 @@ A rectified pair should have ``v_left == v_right`` and a disparity that is the d
 alone. Public and flight sequences miss both by fractions of a pixel to several pixels
 (a principal point that moved, a decentred lens). Two smooth fields describe it:
 
-* vertical: ``v_left - v_right = a0 + a1 x + a2 y + a3 x y``, seen in any single pair;
+* vertical: ``v_left - v_right = a0 + a1 x + a2 y + a3 x y + a4 x^2 + a5 y^2``, seen in any
+  single pair;
 * disparity: ``D = D_true + d0 + d1 x^2 + d2 y^2``, seen in the motion between pairs only
   (`frontends.disparity_check`);
 
@@ -23,7 +24,7 @@ from frontends.measurements import StereoObservations
 
 FloatArray = NDArray[np.float64]
 
-VERTICAL_TERMS = 4
+VERTICAL_TERMS = 6
 DISPARITY_TERMS = 3
 
 
@@ -34,7 +35,7 @@ class RectificationError:
     Attributes
     ----------
     vertical_px
-        (4,) coefficients a0..a3.
+        (6,) coefficients a0..a5.
     disparity_px
         (3,) coefficients d0..d2; zero where nothing significant was found.
     """
@@ -74,9 +75,9 @@ class RectificationError:
 
 
 def vertical_basis(camera: StereoCamera, u: FloatArray, v: FloatArray) -> FloatArray:
-    """Terms 1, x, y, x y of the vertical field, (N, 4)."""
+    """Terms 1, x, y, x y, x^2, y^2 of the vertical field, (N, 6)."""
     x, y = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
-    return np.stack([np.ones_like(x), x, y, x * y], axis=-1)
+    return np.stack([np.ones_like(x), x, y, x * y, x**2, y**2], axis=-1)
 
 
 def disparity_basis(camera: StereoCamera, u: FloatArray, v: FloatArray) -> FloatArray:

@@ -18,7 +18,7 @@ from frontends.camera import StereoCamera
 from frontends.geometry import adjoint, inverse, transform_points
 from frontends.measurements import RelativePose, StereoObservations, Verdict
 from frontends.reprojection import Part, TwoViewProblem, solve_motion
-from frontends.surf._jit import njit
+from frontends.surf._jit import kernel
 
 FloatArray = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ class RelativeConfig:
         Scale of the Cauchy kernel, in sigmas.
     """
 
-    __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
+    __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
 
     inlier_probability: Annotated[float, Gt(0.5), Lt(1)] = 0.99
     confidence: Annotated[float, Gt(0), Lt(1)] = 0.9999
@@ -74,7 +74,7 @@ def rigid_transform(points_a: FloatArray, points_b: FloatArray) -> FloatArray:
     return _rigid(np.ascontiguousarray(points_a), np.ascontiguousarray(points_b))
 
 
-@njit
+@kernel
 def _rigid(points_a: FloatArray, points_b: FloatArray) -> FloatArray:
     """Kabsch: the rotation is V diag(1, 1, +-1) U^T of the points' cross-covariance."""
     count = len(points_a)

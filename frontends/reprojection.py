@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from frontends.camera import StereoCamera
 from frontends.geometry import se3_exp
 from frontends.measurements import StereoObservations
-from frontends.surf._jit import njit
+from frontends.surf._jit import kernel
 
 FloatArray = NDArray[np.float64]
 
@@ -197,7 +197,7 @@ def solve_motion(
     return b_T_a, information, chi2
 
 
-@njit
+@kernel
 def _normal_equations(
     fx: float,
     fy: float,

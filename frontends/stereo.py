@@ -6,13 +6,13 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
-import cv2
 import numpy as np
 from annotated_types import Ge, Gt, Le
 from numpy.typing import NDArray
 
 from frontends.camera import StereoCamera
 from frontends.detector import FeatureDetector
+from frontends.disparity import refine_disparities
 from frontends.errors import InputError
 from frontends.matching import Matches, SearchWindows, match_descriptors, match_in_windows
 from frontends.measurements import StereoFrame, StereoObservations
@@ -53,7 +53,7 @@ class StereoConfig:
         The same between the left and the right image.
     """
 
-    __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
+    __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
 
     hessian_threshold: Annotated[float, Ge(0)] = 20.0
     max_keypoints: Annotated[int, Ge(1)] = 1500
@@ -123,7 +123,6 @@ class StereoPerception:
     #: The vertical offset is looked for within this share of the image height.
     _VERTICAL_SEARCH = 0.05
     _BEYOND_INFINITY_PX = -3.0
-    _LK_WINDOW = 15
 
     def __init__(
         self,
@@ -135,6 +134,7 @@ class StereoPerception:
         self.config = config or StereoConfig()
         self.rectification = RectificationError()
         self.vertical_measured = False
+        self._vertical_refined = False
         self._detector = detector or SURF(
             hessian_threshold=self.config.hessian_threshold,
             upright=True,
@@ -261,38 +261,36 @@ class StereoPerception:
     def _refine(
         self, frame: StereoFrame, left_uv: FloatArray, right_uv: FloatArray, sigma: FloatArray
     ) -> tuple[FloatArray, FloatArray, int, float]:
-        """Disparities refined by Lucas-Kanade, with the precision that was achieved.
+        """Disparities refined on the images, with the precision that was achieved.
 
-        The vertical residual of the refined pairs is pure error, so its spread is the
-        sigma of their disparities. Pairs that the refinement does not confirm keep the
-        keypoints' disparity and its larger sigma.
+        The vertical residual of the refined pairs is pure error; what it has beyond the
+        patches' own noise is the rig's, and may be in the disparities too. Pairs that the
+        refinement does not confirm keep the keypoints' disparity and its larger sigma.
         """
         disparity = left_uv[:, 0] - right_uv[:, 0]
         sigma_disparity = np.sqrt(2.0) * sigma
-        if len(left_uv) == 0:
-            return disparity, sigma_disparity, 0, float("nan")
-        moved, status, _ = cv2.calcOpticalFlowPyrLK(
+        found = refine_disparities(
             frame.left,
             frame.right,
-            np.ascontiguousarray(left_uv[:, None], dtype=np.float32),
-            np.ascontiguousarray(right_uv[:, None], dtype=np.float32),
-            winSize=(self._LK_WINDOW, self._LK_WINDOW),
-            maxLevel=0,
-            criteria=(cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 10, 0.02),
-            flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+            left_uv,
+            disparity,
+            self.rectification.vertical_at(self.camera, left_uv[:, 0], left_uv[:, 1]),
+            4.0 * np.maximum(sigma_disparity, 0.25),
         )
-        moved = np.asarray(moved[:, 0], dtype=np.float64)
-        vertical = (
-            left_uv[:, 1]
-            - moved[:, 1]
-            - self.rectification.vertical_at(self.camera, left_uv[:, 0], left_uv[:, 1])
-        )
-        reach = 4.0 * np.maximum(sigma_disparity, 0.25)
-        good = (status[:, 0] == 1) & (np.abs(vertical) < 1.0)
-        good &= np.hypot(*(moved - right_uv).T) < reach
+        good = found.confirmed
         if good.sum() < self._ENOUGH_PAIRS:
             return disparity, sigma_disparity, 0, float("nan")
-        achieved = max(1.4826 * float(np.median(np.abs(vertical[good]))), 0.05)
-        disparity[good] = left_uv[good, 0] - moved[good, 0]
-        sigma_disparity[good] = achieved
-        return disparity, sigma_disparity, int(good.sum()), achieved
+        vertical = found.vertical_px[good]
+        if self.vertical_measured and not self._vertical_refined:
+            basis = vertical_basis(self.camera, left_uv[good, 0], left_uv[good, 1])
+            correction, _ = robust_fit(basis, vertical)
+            self.rectification = replace(
+                self.rectification, vertical_px=self.rectification.vertical_px + correction
+            )
+            self._vertical_refined = True
+            vertical = vertical - basis @ correction
+        epipolar = 1.4826 * float(np.median(np.abs(vertical)))
+        rig2 = max(epipolar**2 - float(np.median(found.sigma_px[good] ** 2)), 0.0)
+        disparity[good] = found.disparity_px[good]
+        sigma_disparity[good] = np.sqrt(found.sigma_px[good] ** 2 + rig2)
+        return disparity, sigma_disparity, int(good.sum()), epipolar

@@ -42,7 +42,7 @@ class TrackingConfig:
         How much of that movement turns into disparity.
     """
 
-    __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
+    __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
 
     search_fraction: Annotated[float, Gt(0), Le(1)] = 0.04
     wide_search_fraction: Annotated[float, Gt(0), Le(1)] = 0.12
@@ -219,6 +219,10 @@ class LandmarkTracker:
     def skip(self, relative: RelativePose) -> None:
         """Carry the memory over a frame without images."""
         self._memory = self._carried(relative.a_T_b, np.zeros(0, dtype=np.int64))
+
+    def forget(self) -> None:
+        """Drop all landmarks; ids go on."""
+        self._memory = None
 
     def replace_points(self, observations: StereoObservations) -> None:
         """Forget all but the newest frame's landmarks and take their points anew."""

@@ -117,7 +117,9 @@ class Frontend:
         self.perception.rectification = replace(
             self.perception.rectification, disparity_px=disparity_px
         )
-        if newest.observations is not None:
+        if newest.observations is None:
+            self._tracker.forget()
+        else:
             self._tracker.replace_points(newest.observations)
 
     def _locate(

@@ -50,7 +50,7 @@ class MotionConfig:
         1-sigma of a motion of which nothing is known.
     """
 
-    __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
+    __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
 
     slip: Sigma = 0.1
     wheel_sigma_m: Sigma = 0.005

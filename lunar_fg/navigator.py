@@ -64,6 +64,7 @@ class Navigator:
         self._calibration = SelfCalibration(
             camera, self.config.disparity_check, self.config.stereo.max_depth_sigma
         )
+        self._corrected = False
         self._order = FrameOrder(camera)
         self._smoother = self._new_smoother()
 
@@ -94,7 +95,7 @@ class Navigator:
     def finish(self) -> None:
         """Smooth what is still open; call it after the last frame."""
         if self._calibration.conclude():
-            self._recalibrate()
+            self.frames_lost += self._recalibrate().lost
         self._smoother.finish()
 
     def trajectory(self) -> Trajectory:
@@ -123,8 +124,7 @@ class Navigator:
             )
         finding = self._calibration.finding
         if finding is not None and finding.significant:
-            applied = self.config.disparity_check.mode == "apply"
-            found.append(f"{finding}; {'removed' if applied else 'not removed, as configured'}")
+            found.append(f"{finding}; {'removed' if self._corrected else 'not removed'}")
         return (*found, *self._frontend.unusable, *self._smoother.warnings)
 
     def _new_smoother(self) -> IncrementalSmoother:
@@ -142,5 +142,6 @@ class Navigator:
         self._smoother = smoother
         self._frontend.adopt(finding.field_px, keyframes[-1])
         self._calibration.forget()
+        self._corrected = True
         self.frames_lost = sum(estimate.lost for _, estimate in entries[:-1])
         return entries[-1][1]

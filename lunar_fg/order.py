@@ -1,8 +1,9 @@
-"""Frames come in order, each once, all from one camera."""
+"""What a frame must be before anything of it is taken in."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 
 from frontends.camera import StereoCamera
 from frontends.errors import InputError
@@ -29,10 +30,11 @@ class FrameOrder:
         Raises
         ------
         InputError
-            A stamp that is no number, an index or stamp that does not increase, or another
-            camera.
+            A stamp that is no number, an index or stamp that does not increase, another
+            camera, or wheel odometry or an attitude that is no number.
         """
         source = f"frame {frame.index}"
+        _check_sensors(frame, source)
         if not math.isfinite(frame.stamp_s):
             raise InputError(
                 f"is {frame.stamp_s}", source=source, field="stamp_s", remedy="give seconds"
@@ -62,3 +64,24 @@ class FrameOrder:
     def accept(self, frame: StereoFrame | UnusableFrame) -> None:
         """Remember the frame as the newest one."""
         self._index, self._stamp_s = frame.index, frame.stamp_s
+
+
+def _check_sensors(frame: StereoFrame | UnusableFrame, source: str) -> None:
+    for name, values in (("odometry", frame.odometry), ("attitude", frame.attitude)):
+        if values is None:
+            continue
+        for field, value in asdict(values).items():
+            if not math.isfinite(value):
+                raise InputError(
+                    f"is {value}",
+                    source=source,
+                    field=f"{name}.{field}",
+                    remedy="leave the measurement out where there is none",
+                )
+    if frame.attitude is not None and not 0.0 < frame.attitude.sigma_rp_rad < math.pi:
+        raise InputError(
+            f"is {frame.attitude.sigma_rp_rad}",
+            source=source,
+            field="attitude.sigma_rp_rad",
+            remedy="give a 1-sigma in radians, above 0",
+        )

@@ -15,6 +15,8 @@ FloatArray = NDArray[np.float64]
 
 #: SURF does not match over larger changes of scale or stretch than 1 to 20.
 _LEAST_SCALE = 0.05
+#: Features closer than this are one place.
+_PLACE_PX = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +155,8 @@ def _judge(
     chance = min(1.0, np.pi * threshold_px**2 / float(extent[0] * extent[1]))
     needed = max(3 * minimal, minimal + _binomial_bound(len(first_xy), chance))
     # many features of one image on a single place of the other are one inlier, not many
-    places = np.unique(np.round(second_xy[inlier] / (2.0 * threshold_px)), axis=0)
+    cell_px = min(2.0 * threshold_px, _PLACE_PX)
+    places = np.unique(np.round(second_xy[inlier] / cell_px), axis=0)
     count = min(int(inlier.sum()), len(places))
     if _collapses(first_xy[inlier], matrix):
         return _refused(len(first_xy), "the transform that fits collapses the image")

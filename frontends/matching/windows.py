@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontends.matching.nearest import Matches
-from frontends.surf._jit import njit
+from frontends.surf._jit import kernel
 
 FloatArray = NDArray[np.float64]
 Descriptors = NDArray[np.float32]
@@ -91,7 +91,7 @@ def match_in_windows(
     return Matches(index, order[nearest[index]].astype(np.int64), best[index], len(query))
 
 
-@njit
+@kernel
 def _search(
     query: NDArray[np.float32],
     query_sign: NDArray[np.int8],
