@@ -48,6 +48,8 @@ class SegmentGraph:
         self._segment: Segment | None = None
         self._last: Keyframe | None = None
         self._tilts: dict[int, Tilt] = {}
+        # Of the last boundary; it stays as it is while a segment is open.
+        self._boundary: tuple[FloatArray, FloatArray] | None = None
         self._solutions: list[SegmentSolution] = []
         self._failures: list[str] = []
         self._close_at = config.segment_keyframes
@@ -94,7 +96,7 @@ class SegmentGraph:
         A segment that cannot be solved becomes the chain of its motions; one that iSAM2
         refuses even so stays open and is tried again later. Both become warnings.
         """
-        segment, last = self._segment, self._last
+        segment, last, self._boundary = self._segment, self._last, None
         if segment is None or last is None or len(segment) == 1:
             return
         name = f"segment that ends at keyframe {last.index}"
@@ -129,6 +131,7 @@ class SegmentGraph:
     def finish(self) -> None:
         """Close the open segment and relinearise all."""
         self.close()
+        self._boundary = None
         try:
             self._isam.settle()
         except EstimationError as error:
@@ -136,8 +139,10 @@ class SegmentGraph:
 
     def latest(self) -> tuple[FloatArray, FloatArray]:
         """Pose (4, 4) and covariance (6, 6) of the last keyframe."""
-        boundary = pose_key(len(self._solutions))
-        pose, covariance = self._isam.pose(boundary), self._isam.covariance(boundary)
+        if self._boundary is None:
+            key = pose_key(len(self._solutions))
+            self._boundary = self._isam.pose(key), self._isam.covariance(key)
+        pose, covariance = self._boundary
         if self._segment is None or len(self._segment) == 1:
             return pose, covariance
         return compose(pose, covariance, *self._segment.predicted())
