@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from frontends.camera import StereoCamera
 from frontends.detector import FeatureDetector
-from frontends.disparity import refine_disparities
+from frontends.disparity import RefinedDisparities, refine_disparities
 from frontends.errors import InputError
 from frontends.matching import Matches, SearchWindows, match_descriptors, match_in_windows
 from frontends.measurements import StereoFrame, StereoObservations
@@ -120,6 +120,7 @@ class StereoPerception:
 
     #: Pairs needed before the vertical field is trusted.
     _ENOUGH_PAIRS = 30
+    _PAIRS_FOR_A_FIELD = 100
     #: The vertical offset is looked for within this share of the image height.
     _VERTICAL_SEARCH = 0.05
     _BEYOND_INFINITY_PX = -3.0
@@ -134,7 +135,6 @@ class StereoPerception:
         self.config = config or StereoConfig()
         self.rectification = RectificationError()
         self.vertical_measured = False
-        self._vertical_refined = False
         self._detector = detector or SURF(
             hessian_threshold=self.config.hessian_threshold,
             upright=True,
@@ -216,7 +216,7 @@ class StereoPerception:
             return
         uv = left.xy[pairs.query][near].astype(np.float64)
         basis = vertical_basis(self.camera, uv[:, 0], uv[:, 1])
-        coefficients, scale = robust_fit(basis, offset[near, 1])
+        coefficients, scale = self._fit_vertical(basis, offset[near, 1])
         agree = np.abs(offset[near, 1] - basis @ coefficients) < 3.0 * scale
         disparity = offset[near, 0][agree]
         negative = float(np.mean(disparity < -1.0)) if len(disparity) else 0.0
@@ -228,6 +228,49 @@ class StereoPerception:
             )
         self.rectification = replace(self.rectification, vertical_px=coefficients)
         self.vertical_measured = True
+        self._sharpen_vertical(
+            frame, left, self._match_band(left, left_descriptors, right, right_descriptors), right
+        )
+
+    def _sharpen_vertical(
+        self, frame: StereoFrame, left: Keypoints, pairs: Matches, right: Keypoints
+    ) -> None:
+        """Fit the vertical field once more, to refined pairs: keypoints scatter more."""
+        uv = left.xy[pairs.query].astype(np.float64)
+        disparity = uv[:, 0] - right.xy[pairs.train, 0]
+        scale = left.size[pairs.query].astype(np.float64) * (1.2 / 9.0)
+        sigma = np.sqrt(2.0) * self.config.stereo_localisation_sigma * scale
+        found = self._refined(frame, uv, disparity, sigma)
+        good = found.confirmed
+        if good.sum() < self._ENOUGH_PAIRS:
+            return
+        basis = vertical_basis(self.camera, uv[good, 0], uv[good, 1])
+        correction, _ = self._fit_vertical(basis, found.vertical_px[good])
+        self.rectification = replace(
+            self.rectification, vertical_px=self.rectification.vertical_px + correction
+        )
+
+    def _fit_vertical(self, basis: FloatArray, values: FloatArray) -> tuple[FloatArray, float]:
+        """Coefficients and scale; few pairs tell the constant only."""
+        terms = basis.shape[1] if len(basis) >= self._PAIRS_FOR_A_FIELD else 1
+        coefficients, scale = robust_fit(basis[:, :terms], values)
+        return np.pad(coefficients, (0, basis.shape[1] - terms)), scale
+
+    def _refined(
+        self,
+        frame: StereoFrame,
+        left_uv: FloatArray,
+        disparity_px: FloatArray,
+        sigma_px: FloatArray,
+    ) -> RefinedDisparities:
+        return refine_disparities(
+            frame.left,
+            frame.right,
+            left_uv,
+            disparity_px,
+            self.rectification.vertical_at(self.camera, left_uv[:, 0], left_uv[:, 1]),
+            4.0 * np.maximum(sigma_px, 0.25),
+        )
 
     def _match_band(
         self,
@@ -269,27 +312,11 @@ class StereoPerception:
         """
         disparity = left_uv[:, 0] - right_uv[:, 0]
         sigma_disparity = np.sqrt(2.0) * sigma
-        found = refine_disparities(
-            frame.left,
-            frame.right,
-            left_uv,
-            disparity,
-            self.rectification.vertical_at(self.camera, left_uv[:, 0], left_uv[:, 1]),
-            4.0 * np.maximum(sigma_disparity, 0.25),
-        )
+        found = self._refined(frame, left_uv, disparity, sigma_disparity)
         good = found.confirmed
         if good.sum() < self._ENOUGH_PAIRS:
             return disparity, sigma_disparity, 0, float("nan")
-        vertical = found.vertical_px[good]
-        if self.vertical_measured and not self._vertical_refined:
-            basis = vertical_basis(self.camera, left_uv[good, 0], left_uv[good, 1])
-            correction, _ = robust_fit(basis, vertical)
-            self.rectification = replace(
-                self.rectification, vertical_px=self.rectification.vertical_px + correction
-            )
-            self._vertical_refined = True
-            vertical = vertical - basis @ correction
-        epipolar = 1.4826 * float(np.median(np.abs(vertical)))
+        epipolar = 1.4826 * float(np.median(np.abs(found.vertical_px[good])))
         rig2 = max(epipolar**2 - float(np.median(found.sigma_px[good] ** 2)), 0.0)
         disparity[good] = found.disparity_px[good]
         sigma_disparity[good] = np.sqrt(found.sigma_px[good] ** 2 + rig2)

@@ -95,7 +95,8 @@ class Navigator:
     def finish(self) -> None:
         """Smooth what is still open; call it after the last frame."""
         if self._calibration.conclude():
-            self.frames_lost += self._recalibrate().lost
+            last = self._recalibrate()
+            self.frames_lost += last.lost
         self._smoother.finish()
 
     def trajectory(self) -> Trajectory:

@@ -198,7 +198,6 @@ def test_a_failure_while_correcting_leaves_the_estimates(frames, monkeypatch):
     assert scale_of(navigator, POSES[:8]) < 0.95  # the old graph's, uncorrected
 
 
-@pytest.mark.xfail(strict=True, reason="'removed' is told once it was found, not once it was done")
 def test_what_was_not_removed_is_not_told_to_be(frames, monkeypatch):
     """Unless the correction is made up for, its text must not say that it was made."""
     navigator = after_a_failed_correction(frames, monkeypatch)
@@ -222,7 +221,6 @@ def test_frames_lost_before_the_correction_stay_counted(frames, count, lost):
     assert [e.index for e in estimates if e.lost] == list(lost)
 
 
-@pytest.mark.xfail(strict=True, reason="a correction at the end leaves the last frame out")
 def test_a_last_frame_that_is_lost_is_counted(frames):
     navigator, estimates = run([*frames[:10], unusable(frames[10])], frames=100)
     assert "; removed" in " ".join(navigator.warnings)
@@ -230,10 +228,6 @@ def test_a_last_frame_that_is_lost_is_counted(frames):
     assert navigator.frames_lost == 1
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="without a newest image the tracker keeps uncorrected points: a step of 0.05 for 0.1 m",
-)
 def test_the_first_step_after_a_correction_at_a_gap_is_right(frames, monkeypatch):
     """Patience ends on a frame without images; the memory is older than that frame."""
     monkeypatch.setattr(SelfCalibration, "_PATIENCE", 1)
