@@ -1,5 +1,9 @@
 """Speed of SURF: CPU time of the process beside cv2.SIFT, ORB, AKAZE, in one interleaved run.
 
+One image, a rectified pair from grey images to triangulated points, sizes, numbers of keypoints,
+two threads, a second process. Left and right image take turns, as in a drive: the detector guesses
+its threshold from the image before.
+
 Run as ``python benchmarks/surf.py [--data DIR] [--json PATH] [--quick]``. On a shared machine
 only the ratios mean something.
 """
@@ -7,7 +11,9 @@ only the ratios mean something.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
+import os
 import subprocess
 import sys
 import threading
@@ -20,6 +26,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from frontends.camera import StereoCamera
+from frontends.matching import match_descriptors
+from frontends.measurements import StereoFrame
+from frontends.stereo import StereoFeatures, StereoPerception
 from frontends.surf import SURF, warmup
 
 LEFT = "msl-navcam-pair/NLB_524534514EDR_F0562034NCAM00280M_.jpeg"
@@ -41,6 +51,17 @@ def cpu_ms(run: Callable[[], object]) -> float:
     return 1e3 * (time.process_time() - start)
 
 
+def alternating(run: Callable[[Image], object], images: tuple[Image, ...]) -> Callable[[], object]:
+    """Give each call the next image."""
+    turn = itertools.cycle(images)
+    return lambda: run(next(turn))
+
+
+def load_average() -> float:
+    """Other jobs on the machine during the last minute: above 0.5, wall times mean little."""
+    return os.getloadavg()[0]
+
+
 def interleaved(tasks: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:
     """Median CPU milliseconds of each task, all tasks once a round."""
     for run in tasks.values():
@@ -54,8 +75,12 @@ def interleaved(tasks: dict[str, Callable[[], object]], rounds: int) -> dict[str
 
 def detectors() -> dict[str, Callable[[Image], object]]:
     found: dict[str, Callable[[Image], object]] = {}
-    for name, upright in (("SURF upright", True), ("SURF", False)):
-        surf = SURF(hessian_threshold=20, upright=upright, max_keypoints=KEYPOINTS)
+    for name, upright, accurate in (
+        ("SURF upright", True, False),
+        ("SURF", False, False),
+        ("SURF accurate", False, True),
+    ):
+        surf = SURF(20, upright=upright, max_keypoints=KEYPOINTS, accurate=accurate)
         found[name] = surf.detectAndCompute
     akaze = cv2 if hasattr(cv2, "AKAZE_create") else cv2.xfeatures2d
     for name, detector in (
@@ -104,6 +129,47 @@ def threads_speedup(left: Image, right: Image, rounds: int) -> float:
     return float(np.median(ratios))
 
 
+def rectified(left: Image, right: Image) -> tuple[Image, Image, StereoCamera]:
+    """The MSL pair rectified by its own matches, with the nominal Navcam calibration."""
+    features = [SURF(20, upright=True, max_keypoints=KEYPOINTS).detectAndCompute(i)
+                for i in (left, right)]  # fmt: skip
+    pairs = match_descriptors(features[0][1], features[1][1], ratio=0.7)
+    a, b = features[0][0].xy[pairs.query], features[1][0].xy[pairs.train]
+    fundamental, good = cv2.findFundamentalMat(a, b, cv2.USAC_MAGSAC, 0.5, 0.9999, 20000)
+    size = (left.shape[1], left.shape[0])
+    a, b = (np.float32(xy[good.ravel() == 1]) for xy in (a, b))
+    _, left_turn, right_turn = cv2.stereoRectifyUncalibrated(a, b, fundamental, size)
+    # the rectified right image is shifted so that points at infinity have no disparity
+    moved = [cv2.perspectiveTransform(xy[None], turn)[0]
+             for xy, turn in ((a, left_turn), (b, right_turn))]  # fmt: skip
+    shift = np.eye(3)
+    shift[0, 2] = np.percentile(moved[0][:, 0] - moved[1][:, 0], 1) - 5
+    turns = (left_turn, shift @ right_turn)
+    images = [np.asarray(cv2.warpPerspective(i, h, size), np.uint8)
+              for i, h in zip((left, right), turns, strict=True)]  # fmt: skip
+    centre = ((size[0] - 1) / 2, (size[1] - 1) / 2)
+    return images[0], images[1], StereoCamera(*size, 1220.0, 1220.0, *centre, 0.424)
+
+
+def pair_tasks(left: Image, right: Image) -> tuple[dict[str, Callable[[], object]], StereoFeatures]:
+    """Two grey images to triangulated points, or to matches with OpenCV."""
+    left, right, camera = rectified(left, right)
+    perception = StereoPerception(camera)
+    frame = StereoFrame(0, 0.0, left, right, camera)
+    tasks: dict[str, Callable[[], object]] = {"lunar-fg": lambda: perception.perceive(frame)}
+    for name, detector, norm in (
+        ("2 cv2.SIFT + BFMatcher knn", cv2.SIFT_create(KEYPOINTS), cv2.NORM_L2),
+        ("2 cv2.ORB + BFMatcher", cv2.ORB_create(KEYPOINTS), cv2.NORM_HAMMING),
+    ):
+
+        def run(detector: cv2.Feature2D = detector, norm: int = norm) -> object:
+            first, second = (detector.detectAndCompute(i, None)[1] for i in (left, right))
+            return cv2.BFMatcher(norm).knnMatch(first, second, 2)
+
+        tasks[name] = run
+    return tasks, perception.perceive(frame)
+
+
 def second_process(image: Path) -> float:
     """CPU seconds of a fresh process: import, load the cached kernels, one image."""
     code = (
@@ -127,18 +193,29 @@ def main() -> None:
     report: dict[str, object] = {"warmup_s": warmup()}
     left, right = read_grey(arguments.data / LEFT), read_grey(arguments.data / RIGHT)
 
-    times = interleaved(
-        {name: (lambda f=f: f(left)) for name, f in detectors().items()}, rounds
-    )  # fmt: skip
+    tasks = {name: alternating(run, (left, right)) for name, run in detectors().items()}
+    times = interleaved(tasks, rounds)
     report["image_ms"] = times
     print(f"one image {left.shape[1]} x {left.shape[0]}, {KEYPOINTS} keypoints: CPU ms, of SIFT")
     for name, value in times.items():
         print(f"  {name:14s} {value:8.2f}   1/{times['cv2.SIFT'] / value:.1f}")
 
+    tasks, features = pair_tasks(left, right)
+    pair = interleaved(tasks, rounds)
+    report["pair_ms"] = pair
+    report["pair_landmarks"] = len(features)
+    print(f"rectified pair to triangulated points ({len(features)} landmarks): CPU ms, of lunar-fg")
+    for name, value in pair.items():
+        print(f"  {name:27s} {value:8.2f}   {value / pair['lunar-fg']:.1f}")
+
+    report["load_before_threads"] = load_average()
     speedup = threads_speedup(left, right, rounds)
     report["two_threads_speedup"] = speedup
-    print(f"two threads, two images: {speedup:.2f}x (wall; meaningless while other jobs run)")
-    report["second_process_cpu_s"] = second_process(arguments.data / LEFT)
+    print(
+        f"two threads, two images: {speedup:.2f}x (wall; load {report['load_before_threads']:.1f}"
+        " by other jobs and this one; meaningless above 1)"
+    )
+    report["second_process_cpu_s"] = second_process((arguments.data / LEFT).resolve())
     print(f"second process, import to first result: {report['second_process_cpu_s']:.2f} s CPU")
 
     if not arguments.quick:
@@ -166,7 +243,7 @@ def main() -> None:
         report["by_keypoints_4mpx_ms"] = counts
         print("  4 Mpx by keypoints: " + ", ".join(f"{k}: {v:.1f} ms" for k, v in counts.items()))
     if arguments.json:
-        arguments.json.write_text(json.dumps(report, indent=1))
+        arguments.json.write_text(json.dumps(report, indent=1) + "\n")
 
 
 if __name__ == "__main__":

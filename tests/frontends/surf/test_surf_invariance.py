@@ -212,3 +212,15 @@ def test_strided_and_read_only_images() -> None:
     fixed = np.ascontiguousarray(view)
     fixed.flags.writeable = False
     np.testing.assert_array_equal(SURF(50).detect(fixed).xy, expected.xy)
+
+
+@pytest.mark.parametrize("gain", [0.3, 1.0])
+def test_earlier_images_do_not_change_the_result(gain: float) -> None:
+    """The threshold guessed from the image before saves work only, also if it is too high."""
+    surf = SURF(5, upright=True, max_keypoints=150)
+    surf.detectAndCompute(textured(41))
+    image = (textured(42) * gain).astype(np.uint8)
+    after, descriptors = surf.detectAndCompute(image)
+    fresh, expected = SURF(5, upright=True, max_keypoints=150).detectAndCompute(image)
+    np.testing.assert_array_equal(after.xy, fresh.xy)
+    np.testing.assert_array_equal(descriptors, expected)
