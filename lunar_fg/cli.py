@@ -6,6 +6,7 @@ import logging
 import sys
 from collections.abc import Callable
 from functools import wraps
+from json import dumps
 from pathlib import Path
 from typing import Annotated, ParamSpec, TypeVar
 
@@ -14,14 +15,16 @@ from rich.console import Console
 from rich.logging import RichHandler
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from frontends.errors import LunarFgError
+from frontends.errors import InputError, LunarFgError
 from frontends.surf import warmup as warm_surf
 from lunar_fg import __version__, runs
 from lunar_fg.config import Config, read_config
 from lunar_fg.console import accuracy_table, run_summary
 from lunar_fg.datasets import open_dataset
+from lunar_fg.datasets.images import read_grey
 from lunar_fg.demo import demo as run_demo
 from lunar_fg.evaluation import evaluate as compare
+from lunar_fg.match import MatchModel, draw, match_images, write_picture
 from lunar_fg.run_folder import RunFolder
 from lunar_fg.trajectory_io import read_track, read_trajectory
 
@@ -213,3 +216,54 @@ def warmup() -> None:
     Example: lunar-fg warmup
     """
     out.print(f"kernels ready after {warm_surf():.1f} s")
+
+
+@app.command()
+@_guarded
+def match(
+    first: Annotated[Path, typer.Argument(help="Image A: PNG, JPEG, PGM or PPM.")],
+    second: Annotated[Path, typer.Argument(help="Image B.")],
+    homography: Annotated[
+        bool, typer.Option("--homography", help="A plane, or a turn on the spot (default).")
+    ] = False,
+    stereo: Annotated[bool, typer.Option("--stereo", help="A stereo pair, upright.")] = False,
+    similarity: Annotated[
+        bool, typer.Option("--similarity", help="Turn, shift and scale, as between maps.")
+    ] = False,
+    picture: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Picture of the matches to write.")
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+) -> None:
+    """Match two images; exit code 1 when they are refused, with the reason.
+
+    Example: lunar-fg match left.png right.png --stereo -o matches.png
+    """
+    if homography + stereo + similarity > 1:
+        raise InputError("only one of --homography, --stereo, --similarity", source="match")
+    model = MatchModel.HOMOGRAPHY
+    if stereo or similarity:
+        model = MatchModel.STEREO if stereo else MatchModel.SIMILARITY
+    a, b = read_grey(first, 65535), read_grey(second, 65535)
+    result = match_images(a, b, model)
+    if picture is not None:
+        write_picture(picture, draw(a, b, result))
+    if json:
+        sys.stdout.write(dumps(result.as_dict()) + "\n")
+    else:
+        out.print(
+            f"{result.keypoints[0]} and {result.keypoints[1]} keypoints, "
+            f"{len(result.inlier)} matches, {result.inlier.sum()} inliers, "
+            f"{result.seconds:.2f} s",
+            markup=False,
+        )
+        if result.reason:
+            out.print(f"refused: {result.reason}", markup=False)
+        else:
+            out.print(
+                f"{1.0 - result.inlier.mean():.1%} of the matches wrong, "
+                f"median error of the rest {result.error_px:.2f} px",
+                markup=False,
+            )
+    if result.reason:
+        raise typer.Exit(1)
