@@ -41,7 +41,7 @@ class SURF:
     max_keypoints : int, optional
         Keep the strongest.
     accurate : bool
-        True: for wide baselines and absolute matching, about six times the work. The image is
+        True: for wide baselines and absolute matching, about four times the work. The image is
         doubled first (one octave more below, as in the paper), and the descriptor takes exact
         turned boxes in overlapping subregions. Its descriptors match only among themselves.
 
