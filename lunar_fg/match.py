@@ -21,6 +21,8 @@ FloatArray = NDArray[np.float64]
 
 #: Largest transfer or epipolar error of an inlier, px.
 THRESHOLD_PX = 2.0
+#: Lines drawn at most; more hide the images.
+_MAX_LINES = 150
 #: Free parameters of a fundamental matrix: as many matches fit it whatever they are.
 _EPIPOLAR_SAMPLE = 8
 
@@ -108,7 +110,7 @@ def match_images(
 
 
 def draw(first: Image, second: Image, result: MatchResult) -> NDArray[np.uint8]:
-    """Both images side by side, a line for each inlier; BGR."""
+    """Both images side by side, a line for each inlier (evenly thinned to 150); BGR."""
     height = max(first.shape[0], second.shape[0])
     shift = first.shape[1]
     canvas = np.zeros((height, shift + second.shape[1], 3), np.uint8)
@@ -117,6 +119,7 @@ def draw(first: Image, second: Image, result: MatchResult) -> NDArray[np.uint8]:
     ends = np.rint(
         np.hstack([result.first_xy, result.second_xy + np.array([shift, 0])])[result.inlier]
     )
+    ends = ends[:: max(1, -(-len(ends) // _MAX_LINES))]
     for k, (x, y, u, v) in enumerate(ends.astype(int).tolist()):
         colour = ((80, 220, 80), (80, 200, 255), (255, 180, 60))[k % 3]
         cv2.line(canvas, (x, y), (u, v), colour, 1, cv2.LINE_AA)
