@@ -16,7 +16,6 @@ from rich.logging import RichHandler
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from frontends.errors import InputError, LunarFgError
-from frontends.surf import warmup as warm_surf
 from lunar_fg import __version__, runs
 from lunar_fg.config import Config, read_config
 from lunar_fg.console import accuracy_table, run_summary
@@ -27,6 +26,7 @@ from lunar_fg.evaluation import evaluate as compare
 from lunar_fg.match import MatchModel, draw, match_images, write_picture
 from lunar_fg.run_folder import RunFolder
 from lunar_fg.trajectory_io import read_track, read_trajectory
+from lunar_fg.warmup import warmup as warm_up
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -211,11 +211,11 @@ def demo(
 @app.command()
 @_guarded
 def warmup() -> None:
-    """Compile the SURF kernels now, so that the first run starts at once.
+    """Compile all kernels now, so that the first run starts at once.
 
     Example: lunar-fg warmup
     """
-    out.print(f"kernels ready after {warm_surf():.1f} s")
+    out.print(f"kernels ready after {warm_up():.1f} s")
 
 
 @app.command()
