@@ -40,6 +40,8 @@ class Navigator:
         Where every measurement and estimate is kept, for `lunar_fg.runs.optimize`.
     detector
         Feature detector; upright SURF by default.
+    stopwatch
+        Times the stages; by the wall clock by default.
     """
 
     def __init__(
@@ -50,11 +52,12 @@ class Navigator:
         start: StartPrior | None = None,
         log: TraverseLog | None = None,
         detector: FeatureDetector | None = None,
+        stopwatch: Stopwatch | None = None,
     ) -> None:
         self.camera = camera
         self.config = config or Config()
         self.rover_T_camera = level_rover_T_camera() if rover_T_camera is None else rover_T_camera
-        self.stopwatch = Stopwatch()
+        self.stopwatch = stopwatch or Stopwatch()
         self.frames_lost = 0
         self._log = log
         self._start = start or StartPrior()

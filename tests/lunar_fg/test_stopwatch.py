@@ -81,3 +81,11 @@ def test_a_stage_outside_of_any_frame_is_no_crash():
     with watch.frame():
         pass
     assert list(watch.milliseconds()) == ["total"]
+
+
+def test_any_clock_can_be_read():
+    ticks = iter(range(100))
+    watch = Stopwatch(lambda: float(next(ticks)))
+    with watch.frame(), watch.stage("one"):
+        pass
+    assert watch.milliseconds() == {"one": [1000.0], "total": [3000.0]}
