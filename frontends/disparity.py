@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from frontends.jit import kernel, njit
 from frontends.measurements import Image
-from frontends.surf._jit import kernel, njit
 
 FloatArray = NDArray[np.float64]
 Floats = NDArray[np.float32]

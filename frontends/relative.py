@@ -16,9 +16,9 @@ from scipy.stats import chi2 as chi2_distribution
 
 from frontends.camera import StereoCamera
 from frontends.geometry import adjoint, inverse, transform_points
+from frontends.jit import kernel
 from frontends.measurements import RelativePose, StereoObservations, Verdict
 from frontends.reprojection import Part, TwoViewProblem, solve_motion
-from frontends.surf._jit import kernel
 
 FloatArray = NDArray[np.float64]
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from frontends.camera import StereoCamera
 from frontends.geometry import se3_exp
+from frontends.jit import kernel
 from frontends.measurements import StereoObservations
-from frontends.surf._jit import kernel
 
 FloatArray = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from frontends.jit import kernel
 from frontends.matching.nearest import Matches
-from frontends.surf._jit import kernel
 
 FloatArray = NDArray[np.float64]
 Descriptors = NDArray[np.float32]

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from frontends.surf._jit import kernel
+from frontends.jit import kernel
 from frontends.surf.subregions import normalise
 
 RESPONSES = 24  # a row of Haar responses

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from frontends.surf._jit import njit
+from frontends.jit import njit
 from frontends.surf.integral import FRACTION_BITS
 
 

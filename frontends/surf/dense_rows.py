@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from frontends.surf._jit import njit
+from frontends.jit import njit
 from frontends.surf.box_filters import lobe_wing, weight_xy
 from frontends.surf.integral import PAD, padded_length
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from frontends.surf._jit import kernel, njit
+from frontends.jit import kernel, njit
 
 LANES = 64  # row lengths of hot loops are multiples of this: no scalar remainder after SIMD
 PAD = 56  # >= 10 * sqrt(2) * 3.6 + 3: the widest rotated descriptor window, in pixels

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from frontends.surf._jit import njit
+from frontends.jit import njit
 
 # Fraction bits of the bilinear weights in each direction. Sums over the largest Haar wavelet
 # (half of 4s x 4s at s = 3.6, grey*4) times 2^14 stay below 2^31; lattice values themselves wrap.

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from frontends.surf._jit import kernel, njit
+from frontends.jit import kernel, njit
 from frontends.surf.dense_rows import RING, dense_row, lobe_shift, narrow
 from frontends.surf.integral import FRACTION_BITS, PAD, padded_length
 

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from frontends.surf._jit import kernel, njit
+from frontends.jit import kernel, njit
 from frontends.surf.lattice import LATTICE_LANES, LINE_LENGTH, sample_lattice
 
 LINES = 17  # lattice lines: samples at -6 .. 6, wavelets reaching 2 further

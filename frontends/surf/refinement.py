@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from frontends.surf._jit import kernel, njit
+from frontends.jit import kernel, njit
 from frontends.surf.box_filters import response_at
 from frontends.surf.integral import PAD
 

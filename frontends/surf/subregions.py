@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from frontends.surf._jit import njit
+from frontends.jit import njit
 
 DESCRIPTOR_SIZE = 64
 _SPACING = 5.0  # of the subregions' centres, in s

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from frontends.surf._jit import kernel, njit
+from frontends.jit import kernel, njit
 from frontends.surf.lattice import LATTICE_LANES, LINE_LENGTH, sample_lattice
 from frontends.surf.subregions import LANES, gather_bands, normalise
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 
-from frontends.surf._jit import load_kernels
+from frontends.jit import load_kernels
 from frontends.surf.accurate import describe_accurate
 from frontends.surf.integral import halve, integrate
 from frontends.surf.maxima import detect_pair

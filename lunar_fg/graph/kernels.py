@@ -11,8 +11,8 @@ from functools import cache
 
 import numpy as np
 
+from frontends.jit import kernel, njit
 from frontends.measurements import FloatArray, IntArray
-from frontends.surf._jit import kernel, njit
 
 #: A point nearer to the camera plane than this share of its distance is not projected.
 LEAST_DEPTH_SHARE = 1e-3

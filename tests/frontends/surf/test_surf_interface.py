@@ -158,7 +158,7 @@ def test_cold_compile_announces_itself_once(tmp_path: object) -> None:
     code = (
         "import logging, sys\n"
         "logging.basicConfig(stream=sys.stdout, format='%(name)s %(message)s')\n"
-        "from frontends.surf._jit import load_kernels\n"
+        "from frontends.jit import load_kernels\n"
         "from frontends.surf.integral import halve\n"
         "load_kernels([(halve, 'void(uint8[:,::1], int64, uint16[:,::1])')] * 2)\n"
     )

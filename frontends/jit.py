@@ -55,11 +55,11 @@ def kernel(function: F) -> F:
 
 
 def _drop_stale(function: Callable[..., Any], folder: str) -> None:
-    """Delete cached code older than any source of this package.
+    """Delete cached code older than any source beside the kernel's.
 
     numba checks only the file of the kernel itself, not those of the functions inlined in it.
     """
-    sources = Path(__file__).parent.glob("*.py")
+    sources = Path(function.__code__.co_filename).parent.glob("*.py")
     newest = max(max(stat.st_mtime, stat.st_ctime) for stat in map(Path.stat, sources))
     stem = Path(function.__code__.co_filename).stem
     for index in Path(folder).glob(f"{stem}.{function.__name__}-*.nbi"):
