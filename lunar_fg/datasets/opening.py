@@ -89,6 +89,8 @@ def _nearest_thing(folder: Path) -> str:
     for name in entries:
         if (folder / name).is_dir() and any(reader.detects(folder / name) for reader in READERS):
             return f"give its sub-folder {name}, which is a dataset"
+    if {"left", "right"} <= set(entries):
+        return "left and right are there: describe them with --traverse traverse.yaml"
     known = [TRAVERSE, "frames.csv", "calib.txt", *(name for pair in PAIRS for name in pair[:2])]
     for name in entries:
         if name in known:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from frontends.errors import InputError
@@ -49,3 +51,10 @@ def test_the_folder_format_comes_first(folder):
     for name in ("image_0", "image_1"):
         (folder / name).mkdir()
     assert open_dataset(folder).path == folder
+
+
+def test_bare_image_folders_are_told_how_to_be_described(tmp_path: Path) -> None:
+    for side in ("left", "right"):
+        (tmp_path / side).mkdir()
+    with pytest.raises(InputError, match="--traverse"):
+        open_dataset(tmp_path)
