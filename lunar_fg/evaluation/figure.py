@@ -30,7 +30,7 @@ def finish(figure: Figure, ax: Axes, title: str) -> None:
     ax.spines[["top", "right"]].set_visible(False)
     figure.suptitle(title, fontsize=12)
     handles, labels = ax.get_legend_handles_labels()
-    room = 11.5 * float(figure.get_size_inches()[0])
+    room = 8.5 * float(figure.get_size_inches()[0])
     columns = len(labels)
     while columns > 1 and _legend_width(labels, columns) > room:
         columns -= 1
