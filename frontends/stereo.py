@@ -159,7 +159,7 @@ class StereoPerception:
         pairs = self._match_band(left, left_descriptors, right, right_descriptors)
         left_uv = left.xy[pairs.query].astype(np.float64)
         right_uv = right.xy[pairs.train].astype(np.float64)
-        scale = left.size[pairs.query].astype(np.float64) * (1.2 / 9.0)
+        scale = _scale(left, pairs.query)
         sigma = self.config.localisation_sigma * scale
         disparity, sigma_disparity, refined, epipolar_sigma = self._refine(
             frame, left_uv, right_uv, self.config.stereo_localisation_sigma * scale
@@ -238,7 +238,7 @@ class StereoPerception:
         """Fit the vertical field once more, to refined pairs: keypoints scatter more."""
         uv = left.xy[pairs.query].astype(np.float64)
         disparity = uv[:, 0] - right.xy[pairs.train, 0]
-        scale = left.size[pairs.query].astype(np.float64) * (1.2 / 9.0)
+        scale = _scale(left, pairs.query)
         sigma = np.sqrt(2.0) * self.config.stereo_localisation_sigma * scale
         found = self._refined(frame, uv, disparity, sigma)
         good = found.confirmed
@@ -321,3 +321,8 @@ class StereoPerception:
         disparity[good] = found.disparity_px[good]
         sigma_disparity[good] = np.sqrt(found.sigma_px[good] ** 2 + rig2)
         return disparity, sigma_disparity, int(good.sum()), epipolar
+
+
+def _scale(keypoints: Keypoints, rows: NDArray[np.int64]) -> FloatArray:
+    """SURF's scale of some keypoints: its smallest filter, size 9, is scale 1.2."""
+    return keypoints.size[rows].astype(np.float64) * (1.2 / 9.0)

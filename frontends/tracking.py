@@ -14,7 +14,7 @@ from frontends.geometry import inverse, transform_points
 from frontends.matching import Matches, SearchWindows, match_in_windows
 from frontends.measurements import RelativePose, StereoObservations
 from frontends.rectification import observe
-from frontends.relative import MotionPrediction
+from frontends.relative import MotionPrediction, predicted_points
 from frontends.stereo import StereoFeatures
 
 FloatArray = NDArray[np.float64]
@@ -150,7 +150,7 @@ class LandmarkTracker:
                 features.observations.select(nothing),
                 nothing,
             )
-        points_b = transform_points(inverse(prediction.a_T_b), memory.points)
+        points_b = predicted_points(prediction, memory.points)
         ahead = np.flatnonzero(points_b[:, 2] > 1e-3)
         visible = memory.select(ahead)
         u_left, _, v = self.camera.project(points_b[ahead]).T

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import asdict
-from pathlib import Path
 
 import numpy as np
 
@@ -22,7 +21,6 @@ from lunar_fg.log import RunHeader, TraverseLog
 from lunar_fg.navigator import Navigator
 from lunar_fg.run_folder import RunFolder
 from lunar_fg.trajectory import PositionTrack, Trajectory, Truth
-from lunar_fg.trajectory_io import read_track
 
 logger = logging.getLogger("lunar_fg.runs")
 
@@ -146,11 +144,6 @@ def truth_of(ground_truth: GroundTruth | None) -> Truth | None:
 def as_trajectory(smoothed: SmoothedTrajectory) -> Trajectory:
     """Trajectory of the graph in the form that the evaluation takes."""
     return Trajectory(smoothed.stamp_s, smoothed.map_T_rover, smoothed.covariance)
-
-
-def read_truth(path: Path) -> Truth:
-    """Truth from any file that `lunar-fg eval` takes."""
-    return read_track(path)
 
 
 def _conclude(

@@ -11,7 +11,7 @@ import numpy as np
 from frontends.errors import InputError
 from lunar_fg.datasets.base import GroundTruth
 from lunar_fg.datasets.images import SUFFIXES
-from lunar_fg.datasets.tables import FrameRow, read_csv
+from lunar_fg.datasets.tables import FrameRow, Table, read_csv
 
 #: Optional positions by frame: ``frame,time_s,x_m,y_m[,z_m]``; it also dates the frames.
 FRAME_POSITIONS = "ground_truth.csv"
@@ -61,19 +61,25 @@ def pair_by_name(path: Path) -> tuple[tuple[FrameRow, ...], str | None]:
 
 def read_frame_positions(path: Path) -> GroundTruth | None:
     """Position-only truth beside the images, where there is one, in a frame of its own."""
-    if not (path / FRAME_POSITIONS).is_file():
+    table = _frame_positions(path)
+    if table is None:
         return None
-    table = read_csv(path / FRAME_POSITIONS, ("frame", "time_s", "x_m", "y_m"), ("z_m",))
     has_height = "z_m" in table.columns
     z = table.numbers("z_m") if has_height else np.zeros(len(table))
     position = np.column_stack([table.numbers("x_m"), table.numbers("y_m"), z])
     return GroundTruth(table.increasing("time_s"), position, has_height=has_height)
 
 
-def _times(path: Path) -> dict[int, float] | None:
+def _frame_positions(path: Path) -> Table | None:
     if not (path / FRAME_POSITIONS).is_file():
         return None
-    table = read_csv(path / FRAME_POSITIONS, ("frame", "time_s", "x_m", "y_m"), ("z_m",))
+    return read_csv(path / FRAME_POSITIONS, ("frame", "time_s", "x_m", "y_m"), ("z_m",))
+
+
+def _times(path: Path) -> dict[int, float] | None:
+    table = _frame_positions(path)
+    if table is None:
+        return None
     frames = table.numbers("frame").astype(np.int64).tolist()
     return dict(zip(frames, table.increasing("time_s").tolist(), strict=True))
 
