@@ -226,6 +226,67 @@ class Tilt:
 
 
 @dataclass(frozen=True, slots=True)
+class FixCandidate:
+    """One place that the rover may be at, as an absolute measurement sees it.
+
+    Attributes
+    ----------
+    x_m, y_m, yaw_rad
+        Of the rover, in map axes; yaw counter-clockwise from map x.
+    covariance
+        (3, 3) of (x, y, yaw), map axes. Where yaw was not measured, its sigma is large.
+    score
+        How well it fits, in the proposer's own measure (correlation, or inlier share).
+    proposer
+        Name of the method that found it.
+    inliers
+        Matches that agree with it, where it was found from matches.
+    """
+
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    covariance: FloatArray
+    score: float = 1.0
+    proposer: str = ""
+    inliers: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class AbsoluteFix:
+    """Where a keyframe is in the map, or the reason why that cannot be said.
+
+    Attributes
+    ----------
+    frame
+        Index of the keyframe.
+    candidates
+        Places, the best first; at most one is true. Empty when refused.
+    second_best_ratio
+        Score of the second-best place over that of the best, 0 to 1; 1 is ambiguous.
+    height_m, sigma_height_m
+        Rover's height from the orbital elevation model, where there is one.
+    window_m
+        Part of the map that was searched: x and y from, x and y to, m, map frame.
+    reason
+        Why there is no candidate.
+    """
+
+    frame: int
+    candidates: tuple[FixCandidate, ...] = ()
+    second_best_ratio: float = 0.0
+    height_m: float | None = None
+    sigma_height_m: float | None = None
+    window_m: tuple[float, float, float, float] | None = None
+    reason: str = ""
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether there is anything to use; whether it is true, the graph decides."""
+        return Verdict.ACCEPTED if self.candidates else Verdict.REFUSED
+
+
+@dataclass(frozen=True, slots=True)
 class StartPrior:
     """Where the rover starts; sigmas about and along the rover's own axes."""
 
