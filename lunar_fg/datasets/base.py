@@ -120,8 +120,11 @@ class Dataset(Protocol):
         """Count the frames, usable or not."""
         ...
 
-    def frames(self) -> Iterator[StereoFrame | UnusableFrame]:
-        """Read the frames in order, one at a time; a bad image never ends the iteration."""
+    def frames(self, after: int = -1) -> Iterator[StereoFrame | UnusableFrame]:
+        """Read the frames with an index above `after` in order, one at a time.
+
+        A bad image never ends the iteration; what is skipped is not decoded.
+        """
         ...
 
 

@@ -56,9 +56,9 @@ class KittiDataset:
         """Count the frames, usable or not."""
         return len(self.files)
 
-    def frames(self) -> Iterator[StereoFrame | UnusableFrame]:
-        """Read the frames in order, one at a time."""
-        return self.files.frames()
+    def frames(self, after: int = -1) -> Iterator[StereoFrame | UnusableFrame]:
+        """Read the frames with an index above `after` in order, one at a time."""
+        return self.files.frames(after)
 
 
 @dataclass(frozen=True, slots=True)

@@ -56,9 +56,9 @@ class StereoFiles:
         """Count the pairs."""
         return len(self.pairs)
 
-    def frames(self) -> Iterator[StereoFrame | UnusableFrame]:
-        """Read the frames; one whose images cannot be used comes with the reason."""
-        return map(self._read, self.pairs)
+    def frames(self, after: int = -1) -> Iterator[StereoFrame | UnusableFrame]:
+        """Read the frames above an index; one whose images cannot be used has the reason."""
+        return map(self._read, (pair for pair in self.pairs if pair.index > after))
 
     def _read(self, pair: StereoPair) -> StereoFrame | UnusableFrame:
         try:

@@ -48,6 +48,7 @@ def test_a_valid_folder(folder):
     assert (frames[2].stamp_s, frames[2].camera) == (12.0, dataset.camera)
     assert dataset.ground_truth is dataset.map_reference is dataset.orbital is None
     assert len(list(dataset.frames())) == 5, "frames() can be called again"
+    assert [frame.index for frame in dataset.frames(after=2)] == [3, 4]
     assert open_dataset(folder / "traverse.yaml").name == "run"
 
 
