@@ -14,6 +14,7 @@ from frontends.tracking import TrackingConfig
 from lunar_fg.datasets.strict_yaml import read_yaml
 from lunar_fg.graph.config import GraphConfig
 from lunar_fg.motion import MotionConfig
+from lunar_fg.route import RouteConfig
 
 
 class Config(BaseModel):
@@ -23,7 +24,7 @@ class Config(BaseModel):
     ----------
     seed
         Of every random choice.
-    stereo, tracking, relative, disparity_check, motion, graph
+    stereo, tracking, relative, disparity_check, motion, graph, route
         See the classes.
     """
 
@@ -36,6 +37,7 @@ class Config(BaseModel):
     disparity_check: DisparityCheckConfig = Field(default_factory=DisparityCheckConfig)
     motion: MotionConfig = Field(default_factory=MotionConfig)
     graph: GraphConfig = Field(default_factory=GraphConfig)
+    route: RouteConfig = Field(default_factory=RouteConfig)
 
 
 def read_config(path: Path) -> Config:

@@ -56,6 +56,10 @@ _LATER_FILES = (
     "run.db-shm",
     "ground_truth.tum",
     "ground_truth_position.csv",
+    "source.json",
+    "frames.csv",
+    "route.geojson",
+    "route.csv",
     "report.html",
 )
 _PICTURES = ("*.png", "*.svg", "*.pdf")
@@ -99,7 +103,7 @@ class RunFolder:
         folder._claim(overwrite)
         values = config.model_dump(mode="json") if isinstance(config, BaseModel) else dict(config)
         text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
-        _write(folder.config_path, f"{MARK}\n{text}".encode())
+        write_whole(folder.config_path, f"{MARK}\n{text}".encode())
         return folder
 
     @classmethod
@@ -158,6 +162,21 @@ class RunFolder:
         return self.path / "run.db"
 
     @property
+    def source_path(self) -> Path:
+        """What the run was made from, see `lunar_fg.run_source`."""
+        return self.path / "source.json"
+
+    @property
+    def frames_path(self) -> Path:
+        """Counts and times of every frame, see `lunar_fg.frame_table`."""
+        return self.path / "frames.csv"
+
+    @property
+    def route_path(self) -> Path:
+        """Planned route that the run was watched against."""
+        return self.path / "route.geojson"
+
+    @property
     def plots_path(self) -> Path:
         """Folder of the pictures."""
         return self.path / "plots"
@@ -175,16 +194,16 @@ class RunFolder:
             When given, the KITTI file holds the camera's poses in the frame of its first
             one, as the KITTI benchmark wants them; otherwise ``map_T_rover``.
         """
-        _write(self.tum_path, tum_text(trajectory).encode())
+        write_whole(self.tum_path, tum_text(trajectory).encode())
         if trajectory.covariance is None:
             self.covariance_path.unlink(missing_ok=True)
         else:
             buffer = io.BytesIO()
             np.savez(buffer, stamp_s=trajectory.stamp_s, covariance=trajectory.covariance)
-            _write(self.covariance_path, buffer.getvalue())
+            write_whole(self.covariance_path, buffer.getvalue())
         if rover_T_camera is not None:
             trajectory = trajectory.of_sensor(rover_T_camera).from_start()
-        _write(self.kitti_path, kitti_text(trajectory).encode())
+        write_whole(self.kitti_path, kitti_text(trajectory).encode())
 
     def read_trajectory(self) -> Trajectory:
         """Read the trajectory, with covariances where all its poses have one."""
@@ -207,9 +226,9 @@ class RunFolder:
     def write_truth(self, truth: Truth) -> None:
         """Keep the truth that the run is compared with beside its results."""
         if isinstance(truth, Trajectory):
-            _write(self.path / "ground_truth.tum", tum_text(truth).encode())
+            write_whole(self.path / "ground_truth.tum", tum_text(truth).encode())
         else:
-            _write(self.path / "ground_truth_position.csv", position_text(truth).encode())
+            write_whole(self.path / "ground_truth_position.csv", position_text(truth).encode())
 
     def read_truth(self) -> Truth | None:
         """Read the truth that the run was compared with, where there was one."""
@@ -224,7 +243,7 @@ class RunFolder:
 
     def write_metrics(self, metrics: Metrics) -> None:
         """Write ``metrics.json``."""
-        _write(self.metrics_path, metrics.to_json().encode())
+        write_whole(self.metrics_path, metrics.to_json().encode())
 
     def read_metrics(self) -> dict[str, Any]:
         """Read ``metrics.json`` as it stands."""
@@ -313,7 +332,7 @@ class EstimateRecorder:
         self._folder.write_trajectory(self.trajectory(), rover_T_camera=self._rover_T_camera)
 
 
-def _write(path: Path, content: bytes) -> None:
+def write_whole(path: Path, content: bytes) -> None:
     """Write a whole file so that it is never seen half-written."""
     beside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:

@@ -14,12 +14,14 @@ from lunar_fg.config import Config
 from lunar_fg.datasets.base import Dataset, GroundTruth
 from lunar_fg.evaluation import Accuracy, Metrics, evaluate, without_truth
 from lunar_fg.evaluation.plots import write_plots
+from lunar_fg.frame_table import FrameTable
 from lunar_fg.frontend import FrameReport
 from lunar_fg.graph.batch import ConvergenceReport, optimize_batch
 from lunar_fg.graph.keyframe import SmoothedTrajectory
 from lunar_fg.log import RunHeader, TraverseLog
 from lunar_fg.navigator import Navigator
-from lunar_fg.run_folder import RunFolder
+from lunar_fg.route import RouteMonitor, states_text
+from lunar_fg.run_folder import RunFolder, write_whole
 from lunar_fg.trajectory import PositionTrack, Trajectory, Truth
 
 logger = logging.getLogger("lunar_fg.runs")
@@ -32,6 +34,7 @@ def run(
     folder: RunFolder,
     config: Config | None = None,
     on_estimate: OnEstimate | None = None,
+    route: RouteMonitor | None = None,
 ) -> Metrics:
     """Navigate through a dataset and write the run folder.
 
@@ -47,6 +50,8 @@ def run(
         Settings.
     on_estimate
         Called with each frame's estimate, e.g. for a progress bar.
+    route
+        Watches the estimates against a planned route.
 
     Returns
     -------
@@ -72,14 +77,16 @@ def run(
                 for frame in dataset.frames():
                     estimate = navigator.step(frame)
                     recorder.record(estimate)
+                    if route is not None:
+                        route.observe(estimate)
                     if on_estimate is not None:
                         on_estimate(estimate)
         except LunarFgError as error:
             logger.error("stopped after %d frames: %s", len(navigator.reports), error)
             if navigator.reports:
-                _conclude(dataset, folder, navigator, truth, (f"stopped early: {error}",))
+                _conclude(dataset, folder, navigator, truth, (f"stopped early: {error}",), route)
             raise
-        metrics = _conclude(dataset, folder, navigator, truth, ())
+        metrics = _conclude(dataset, folder, navigator, truth, (), route)
     if navigator.frames_usable == 0:
         raise InputError(
             "none of its frames could be used",
@@ -152,6 +159,7 @@ def _conclude(
     navigator: Navigator,
     truth: Truth | None,
     warnings: tuple[str, ...],
+    route: RouteMonitor | None,
 ) -> Metrics:
     """Smooth what is open and write everything that the run has."""
     navigator.finish()
@@ -168,8 +176,13 @@ def _conclude(
         timing_ms=timing,
         matches=_counts(navigator.reports),
         warnings=warnings,
+        route=None if route is None else route.summary(),
     )
     folder.write_metrics(metrics)
+    if route is not None:
+        write_whole(folder.path / "route.csv", states_text(route.states).encode())
+    table = FrameTable.of_run(trajectory.stamp_s, navigator.reports, timing)
+    write_whole(folder.frames_path, table.text().encode())
     write_plots(
         folder.plots_path,
         trajectory,

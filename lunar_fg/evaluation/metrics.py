@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lunar_fg.route import RouteSummary
+
 
 @dataclass(frozen=True, slots=True)
 class AteRmse:
@@ -106,6 +108,7 @@ class Metrics:
     timing_ms: Mapping[str, StageTiming]
     matches: Mapping[str, float]
     warnings: tuple[str, ...]
+    route: RouteSummary | None = None
 
     @classmethod
     def of_run(
@@ -117,6 +120,7 @@ class Metrics:
         timing_ms: Mapping[str, ArrayLike] | None = None,
         matches: Mapping[str, ArrayLike] | None = None,
         warnings: Sequence[str] = (),
+        route: RouteSummary | None = None,
     ) -> Metrics:
         """Metrics of a run from its accuracy and what was counted a frame.
 
@@ -133,6 +137,8 @@ class Metrics:
             For each kind of match the count of each frame; medians are kept.
         warnings
             Of the run; they come before those of the accuracy.
+        route
+            Of the drive along a planned route, where there was one.
         """
         figures = {f.name: getattr(accuracy, f.name) for f in fields(Accuracy)}
         figures["warnings"] = (*warnings, *accuracy.warnings)
@@ -147,6 +153,7 @@ class Metrics:
                 if ms.size
             },
             matches={name: float(np.median(n)) for name, n in counts.items() if n.size},
+            route=route,
             **figures,
         )
 

@@ -21,6 +21,7 @@ FRAMES = 14
 METRICS = [
     "frames", "frames_lost", "distance_m", "ate_rmse_m", "scale_sim3", "kitti", "rpe",
     "final_error_m", "nees", "timing_ms", "matches", "warnings",
+    "route",
 ]  # fmt: skip
 
 
@@ -94,6 +95,21 @@ def test_a_run_writes_everything_that_is_promised(finished: Path) -> None:
         assert arrays["covariance"].shape == (FRAMES, 6, 6)
 
 
+def test_a_drive_off_its_route_is_said_everywhere(rendered: Path, tmp_path: Path) -> None:
+    line = {"type": "LineString", "coordinates": [[0.0, 0.0], [-0.5, 3.0]]}
+    content = {"type": "Feature", "properties": {"half_width_m": 0.4}, "geometry": line}
+    (tmp_path / "plan.geojson").write_text(json.dumps(content))
+    folder = tmp_path / "run"
+    result = lunar_fg("run", rendered, "-o", folder, "--route", tmp_path / "plan.geojson")
+    assert result.exit_code == 0, result.output
+    route = json.loads((folder / "metrics.json").read_text())["route"]
+    assert "outside the corridor of +-0.4 m" in route["alarms"][0]
+    assert "outside the corridor" in (folder / "run.log").read_text()
+    assert len((folder / "route.csv").read_text().splitlines()) == FRAMES + 1
+    assert json.loads((folder / "source.json").read_text())["dataset"] == str(rendered)
+    assert len((folder / "frames.csv").read_text().splitlines()) == FRAMES + 1
+
+
 def test_the_log_gives_back_every_measurement(finished: Path) -> None:
     with TraverseLog.open(finished / "run.db") as log:
         keyframes = log.keyframes()
@@ -116,7 +132,13 @@ def test_eval_prints_the_keys_of_the_metrics(finished: Path, rendered: Path) -> 
     result = lunar_fg("eval", *files, "--json")
     assert result.exit_code == 0, result.output
     accuracy = json.loads(result.stdout)
-    assert set(accuracy) == set(METRICS) - {"frames", "frames_lost", "timing_ms", "matches"}
+    assert set(accuracy) == set(METRICS) - {
+        "frames",
+        "frames_lost",
+        "timing_ms",
+        "matches",
+        "route",
+    }
     in_run = json.loads((finished / "metrics.json").read_text())
     assert accuracy["ate_rmse_m"]["se3"] == pytest.approx(in_run["ate_rmse_m"]["se3"], abs=1e-6)
     table = lunar_fg("eval", *files)
