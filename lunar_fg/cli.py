@@ -11,6 +11,7 @@ from rich.logging import RichHandler
 from lunar_fg import __version__
 from lunar_fg.commands.demo import demo
 from lunar_fg.commands.evaluate import evaluate
+from lunar_fg.commands.geo import geo
 from lunar_fg.commands.match import match
 from lunar_fg.commands.optimize import optimize
 from lunar_fg.commands.run import run
@@ -47,6 +48,7 @@ app.command(name="eval")(guarded(evaluate))
 app.command()(guarded(demo))
 app.command()(guarded(warmup))
 app.command()(guarded(match))
+app.command()(guarded(geo))
 
 if __name__ == "__main__":
     app()

@@ -60,6 +60,8 @@ _LATER_FILES = (
     "frames.csv",
     "route.geojson",
     "route.csv",
+    "results.gpkg",
+    "results.geojson",
     "report.html",
 )
 _PICTURES = ("*.png", "*.svg", "*.pdf")
