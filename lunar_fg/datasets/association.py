@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -43,6 +44,17 @@ def odometry_between_frames(
     return tuple(result)
 
 
+def composed(motions: Sequence[WheelOdometry]) -> WheelOdometry:
+    """Return the motion that consecutive motions add up to (SE2)."""
+    x = y = yaw = 0.0
+    for motion in motions:
+        cosine, sine = math.cos(yaw), math.sin(yaw)
+        x += cosine * motion.d_forward_m - sine * motion.d_lateral_m
+        y += sine * motion.d_forward_m + cosine * motion.d_lateral_m
+        yaw += motion.d_yaw_rad
+    return WheelOdometry(x, y, yaw)
+
+
 def attitude_at_frames(
     frame_stamp_s: FloatArray, table: AttitudeTable
 ) -> tuple[Attitude | None, ...]:
@@ -61,7 +73,7 @@ def _first_start(frames: FloatArray, ends: FloatArray) -> float:
 def _compose(
     begin: float, end: float, starts: FloatArray, ends: FloatArray, increments: FloatArray
 ) -> WheelOdometry:
-    x = y = yaw = 0.0
+    parts = []
     first = int(np.searchsorted(ends, begin, side="right"))
     last = int(np.searchsorted(starts, end, side="left"))
     for row in range(first, last):
@@ -69,11 +81,8 @@ def _compose(
         inside = min(end, ends[row]) - max(begin, starts[row])
         if duration <= 0.0 or inside <= 0.0:
             continue
-        dx, dy, dyaw = _part_of(increments[row], inside / duration)
-        cosine, sine = math.cos(yaw), math.sin(yaw)
-        x, y = x + cosine * dx - sine * dy, y + sine * dx + cosine * dy
-        yaw += dyaw
-    return WheelOdometry(x, y, yaw)
+        parts.append(WheelOdometry(*_part_of(increments[row], inside / duration)))
+    return composed(parts)
 
 
 def _part_of(increment: FloatArray, share: float) -> tuple[float, float, float]:
