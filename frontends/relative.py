@@ -15,12 +15,16 @@ from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
 from frontends.camera import StereoCamera
+from frontends.consensus import false_alarms
 from frontends.geometry import adjoint, inverse, transform_points
 from frontends.jit import kernel
 from frontends.measurements import RelativePose, StereoObservations, Verdict
 from frontends.reprojection import Part, TwoViewProblem, solve_motion
 
 FloatArray = NDArray[np.float64]
+
+#: Wrong motions accepted, a frame that shows none.
+_MOST_FALSE_ALARMS = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,6 +242,12 @@ class RelativePositioning:
         inlier = chi2 < self._gate
         if inlier.sum() < self._needed:
             return _refuse(prediction, count, "the motion does not hold after refinement")
+        if false_alarms(chi2, self._gate) > _MOST_FALSE_ALARMS:
+            return _refuse(
+                prediction,
+                count,
+                f"{int(inlier.sum())} of {count} tracked landmarks agree, as many as by chance",
+            )
         covariance_b_T_a = plausible.motion_covariance(b_T_a, sigma)
         if covariance_b_T_a is None:
             return _refuse(prediction, count, "the landmarks do not fix all six motions")

@@ -149,7 +149,7 @@ class StereoPerception:
         InputError
             When the images do not fit the camera, or left and right look swapped.
         """
-        self._check_size(frame)
+        self.check_size(frame)
         with ThreadPoolExecutor(max_workers=2) as threads:
             (left, left_descriptors), (right, right_descriptors) = threads.map(
                 self._detector.detectAndCompute, (frame.left, frame.right)
@@ -189,7 +189,8 @@ class StereoPerception:
             epipolar_sigma,
         )
 
-    def _check_size(self, frame: StereoFrame) -> None:
+    def check_size(self, frame: StereoFrame) -> None:
+        """Raise `InputError` unless both images fit the camera."""
         expected = (self.camera.height, self.camera.width)
         for name, image in (("left", frame.left), ("right", frame.right)):
             if image.shape != expected or image.dtype != np.uint8:

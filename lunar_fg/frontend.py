@@ -16,6 +16,7 @@ from frontends.tracking import LandmarkTracker, Tracks
 from lunar_fg.config import Config
 from lunar_fg.graph.keyframe import Keyframe
 from lunar_fg.motion import MotionModel, tilt_of
+from lunar_fg.plausibility import DeadCamera, Episodes, Plausibility
 from lunar_fg.stopwatch import Stopwatch
 
 FloatArray = NDArray[np.float64]
@@ -74,7 +75,10 @@ class Frontend:
         self.perception = StereoPerception(camera, config.stereo, detector)
         self.positioning = RelativePositioning(camera, config.relative, config.seed)
         self.reports: list[FrameReport] = []
-        self.unusable: list[str] = []
+        self.frames_unusable = 0
+        self._unusable: dict[str, Episodes] = {}
+        self._dead_camera = DeadCamera()
+        self._plausibility = Plausibility(rover_T_camera)
         self._tracker = LandmarkTracker(camera, config.tracking)
         self._motion = MotionModel(rover_T_camera, config.motion)
         self._stopwatch = stopwatch
@@ -87,6 +91,7 @@ class Frontend:
         InputError
             When the images do not fit the camera, or left and right look swapped.
         """
+        taken, frame = frame, self._refuse_dead(frame)
         odometry = self._motion.odometry(frame)
         prediction = self._motion.predict(odometry)
         if isinstance(frame, UnusableFrame):
@@ -94,7 +99,8 @@ class Frontend:
             observations = None
             self._tracker.skip(relative)
             self.reports.append(FrameReport())
-            self.unusable.append(f"frame {frame.index}: {frame.reason}")
+            self.frames_unusable += 1
+            self._unusable.setdefault(frame.reason, Episodes(frame.reason)).note(frame.index)
         else:
             with self._stopwatch.stage("stereo"):
                 features = self.perception.perceive(frame)
@@ -102,15 +108,32 @@ class Frontend:
             observations = self._tracker.commit(features, tracks, relative)
             self.reports.append(_report(features, relative))
         self._motion.update(frame, relative)
+        if isinstance(taken, StereoFrame):
+            self._dead_camera.remember(taken)
         first = len(self.reports) == 1
         return Keyframe(
             frame.index,
             frame.stamp_s,
             observations,
             None if first else relative,
-            None if first else odometry,
-            tilt_of(frame),
+            None if first else self._plausibility.odometry(frame.index, odometry, relative),
+            self._plausibility.tilt(frame.index, tilt_of(frame), relative),
         )
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What of the sensors was not used, one sentence each."""
+        told = (line for episodes in self._unusable.values() for line in episodes.sentences())
+        return (*told, *self._plausibility.warnings)
+
+    def _refuse_dead(self, frame: StereoFrame | UnusableFrame) -> StereoFrame | UnusableFrame:
+        if isinstance(frame, UnusableFrame):
+            return frame
+        self.perception.check_size(frame)
+        reason = self._dead_camera.found(frame)
+        if not reason:
+            return frame
+        return UnusableFrame(frame.index, frame.stamp_s, reason, frame.odometry, frame.attitude)
 
     def adopt(self, disparity_px: FloatArray, newest: Keyframe) -> None:
         """Correct disparities by this field from now on; go on from a corrected keyframe."""

@@ -115,7 +115,7 @@ class Navigator:
     @property
     def frames_usable(self) -> int:
         """How many frames so far had images that could be used."""
-        return len(self.reports) - len(self._frontend.unusable)
+        return len(self.reports) - self._frontend.frames_unusable
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -129,7 +129,7 @@ class Navigator:
         finding = self._calibration.finding
         if finding is not None and finding.significant:
             found.append(f"{finding}; {'removed' if self._corrected else 'not removed'}")
-        return (*found, *self._frontend.unusable, *self._smoother.warnings)
+        return (*found, *self._frontend.warnings, *self._smoother.warnings)
 
     def _new_smoother(self) -> IncrementalSmoother:
         return IncrementalSmoother(self.camera, self.rover_T_camera, self._start, self.config.graph)

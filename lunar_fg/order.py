@@ -3,11 +3,58 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, replace
 
 from frontends.camera import StereoCamera
 from frontends.errors import InputError
-from frontends.measurements import StereoFrame, UnusableFrame
+from frontends.measurements import StereoFrame, UnusableFrame, WheelOdometry
+from lunar_fg.datasets.association import composed
+from lunar_fg.plausibility import Episodes
+
+Frame = StereoFrame | UnusableFrame
+
+
+class InOrder:
+    """Frames without those that come late: by index or by clock before one that came already.
+
+    What the wheels counted up to a late frame goes to the next one that is kept.
+
+    Parameters
+    ----------
+    frames
+        As they arrive.
+    """
+
+    def __init__(self, frames: Iterable[Frame]) -> None:
+        self._frames = frames
+        self._late = Episodes("came after a later one, or with an earlier stamp: left out")
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Yield the frames that can be used."""
+        index, stamp_s = -1, -math.inf
+        missed: list[WheelOdometry | None] = []
+        for frame in self._frames:
+            if frame.index <= index or frame.stamp_s <= stamp_s:
+                self._late.note(frame.index)
+                missed.append(frame.odometry)
+                continue
+            index, stamp_s = frame.index, frame.stamp_s
+            yield with_missed(frame, missed) if missed else frame
+            missed = []
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was left out so far, one sentence a run of frames."""
+        return self._late.sentences()
+
+
+def with_missed(frame: Frame, missed: Sequence[WheelOdometry | None]) -> Frame:
+    """Return the frame with the wheel motion of frames that were left out before it added."""
+    motions = [*missed, frame.odometry]
+    known = [motion for motion in motions if motion is not None]
+    complete = len(known) == len(motions)
+    return replace(frame, odometry=composed(known) if complete else None)
 
 
 class FrameOrder:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from frontends.measurements import WheelOdometry
-from lunar_fg.datasets.association import composed
 from lunar_fg.faults.base import Frame, FramesOnly
+from lunar_fg.order import with_missed
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,16 +24,8 @@ class Dropped(FramesOnly):
                 missed.append(frame.odometry)
                 continue
             if missed:
-                frame, missed = _after(frame, missed), []
+                frame, missed = with_missed(frame, missed), []
             yield frame
-
-
-def _after(frame: Frame, missed: list[WheelOdometry | None]) -> Frame:
-    motions = [*missed, frame.odometry]
-    known = [motion for motion in motions if motion is not None]
-    if len(known) < len(motions):
-        return replace(frame, odometry=None)
-    return replace(frame, odometry=composed(known))
 
 
 @dataclass(frozen=True, slots=True)

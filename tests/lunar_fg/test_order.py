@@ -1,5 +1,6 @@
 """Frames in order, each once, all from one camera."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -7,8 +8,8 @@ import pytest
 from synthetic import CAMERA
 
 from frontends.errors import InputError
-from frontends.measurements import StereoFrame, UnusableFrame
-from lunar_fg.order import FrameOrder
+from frontends.measurements import StereoFrame, UnusableFrame, WheelOdometry
+from lunar_fg.order import FrameOrder, InOrder
 
 IMAGE = np.zeros((CAMERA.height, CAMERA.width), np.uint8)
 
@@ -102,3 +103,26 @@ def test_unusable_frames_count():
         with pytest.raises(InputError):
             order.check(bad)
     order.check(stereo(2, 1.0))
+
+
+def test_late_frames_are_left_out_and_their_wheels_counted():
+    def at(index, stamp_s):
+        return replace(unusable(index, stamp_s), odometry=WheelOdometry(1.0, 0.0, math.pi / 2))
+
+    frames = InOrder([at(0, 0.0), at(2, 2.0), at(1, 1.0), at(3, 1.5), at(4, 4.0), at(5, 5.0)])
+    kept = list(frames)
+    assert [frame.index for frame in kept] == [0, 2, 4, 5]
+    # three quarter turns of a metre each: back to one metre left of the start
+    turned = kept[2].odometry
+    assert (turned.d_forward_m, turned.d_lateral_m) == pytest.approx((0.0, 1.0), abs=1e-9)
+    assert turned.d_yaw_rad == pytest.approx(1.5 * math.pi)
+    assert kept[3].odometry.d_forward_m == 1.0
+    assert frames.warnings == (
+        "frames 1 to 3: came after a later one, or with an earlier stamp: left out",
+    )
+
+
+def test_wheels_that_were_not_all_read_are_not_made_up():
+    first, late, last = unusable(1, 1.0), unusable(0, 0.5), unusable(2, 2.0)
+    last = replace(last, odometry=WheelOdometry(1.0, 0.0, 0.0))
+    assert list(InOrder([first, late, last]))[1].odometry is None

@@ -1,0 +1,152 @@
+"""Do the sensors agree? What contradicts the images is not believed, and said.
+
+Three checks, each at a stated probability of a false alarm. They catch what a covariance
+cannot tell: wheels that spin on the spot, an inclinometer that jumps, a camera that repeats
+its last image.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from frontends.geometry import inverse, se3_log
+from frontends.measurements import Odometry, RelativePose, StereoFrame, Tilt
+
+FloatArray = NDArray[np.float64]
+
+#: A sound sensor is refused once in so many keyframes.
+_FALSE_ALARM = 1e-5
+
+
+@dataclass(slots=True)
+class Episodes:
+    """Frames at which something happened, told as one sentence for each run of frames.
+
+    Attributes
+    ----------
+    text
+        What happened, e.g. ``"the wheels disagree with the images: taken as slip"``.
+    """
+
+    text: str
+    _spans: list[tuple[int, int]] = field(default_factory=list)
+
+    def note(self, frame: int) -> None:
+        """Remember that it happened at a frame, too."""
+        if self._spans and frame - self._spans[-1][1] <= 2:
+            self._spans[-1] = (self._spans[-1][0], frame)
+        else:
+            self._spans.append((frame, frame))
+
+    def sentences(self) -> tuple[str, ...]:
+        """One sentence a run of frames."""
+        return tuple(
+            f"frame {first}: {self.text}"
+            if first == last
+            else f"frames {first} to {last}: {self.text}"
+            for first, last in self._spans
+        )
+
+
+class DeadCamera:
+    """Recognises a camera that delivers nothing, or its last image again.
+
+    Sensor noise makes two images of one scene differ; equal bytes are one image.
+    """
+
+    def __init__(self) -> None:
+        self._before: StereoFrame | None = None
+
+    def found(self, frame: StereoFrame) -> str:
+        """Say what is wrong with the images; empty when nothing is."""
+        before = self._before
+        for name, image in (("left", frame.left), ("right", frame.right)):
+            if image.min() == image.max():
+                return f"the {name} image is blank"
+            if before is not None and np.array_equal(getattr(before, name), image):
+                return f"the {name} image is that of the frame before"
+        return ""
+
+    def remember(self, frame: StereoFrame) -> None:
+        """Compare the next frame with this one."""
+        self._before = frame
+
+
+class Plausibility:
+    """Compares wheels and inclinometer with the motion that the images show.
+
+    Parameters
+    ----------
+    rover_T_camera
+        (4, 4) pose of the left camera in the rover.
+    """
+
+    def __init__(self, rover_T_camera: FloatArray) -> None:
+        self._rover_T_camera = rover_T_camera
+        self._slip = Episodes("wheels and images disagree on the motion: taken as wheel slip")
+        self._jump = Episodes("the attitude jumped and the images did not: roll and pitch left out")
+        # Where down was when the inclinometer was last believed, rover axes, and its variance
+        # about x and y; vision carries it on.
+        self._down: FloatArray | None = None
+        self._variance = 0.0
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was not believed, one sentence a run of frames."""
+        return (*self._slip.sentences(), *self._jump.sentences())
+
+    def odometry(
+        self, frame: int, odometry: Odometry | None, relative: RelativePose
+    ) -> Odometry | None:
+        """Return the odometry, as uncertain as its disagreement with the images shows.
+
+        Wheels slip, images that many landmarks agree on do not: where the two differ by more
+        than their covariances allow, the difference itself becomes the wheels' uncertainty.
+        """
+        if odometry is None or not relative.accepted:
+            return odometry
+        seen = relative.in_frames(self._rover_T_camera)
+        difference = se3_log(inverse(odometry.a_T_b) @ seen.a_T_b)
+        both = odometry.covariance + seen.covariance
+        if difference @ np.linalg.solve(both, difference) < chi2.isf(_FALSE_ALARM, 6):
+            return odometry
+        self._slip.note(frame)
+        return replace(odometry, covariance=odometry.covariance + np.outer(difference, difference))
+
+    def tilt(self, frame: int, tilt: Tilt | None, relative: RelativePose) -> Tilt | None:
+        """Return the tilt, or None from where it jumped until it comes back.
+
+        Where vision was lost in between, a new tilt cannot be compared and is believed.
+        """
+        self._carry(relative)
+        if tilt is None:
+            return None
+        measured = _down(tilt)
+        if self._down is not None:
+            angle2 = float(np.sum(np.cross(self._down, measured) ** 2))
+            if angle2 / (self._variance + tilt.sigma_rad**2) > chi2.isf(_FALSE_ALARM, 2):
+                self._jump.note(frame)
+                return None
+        self._down, self._variance = measured, tilt.sigma_rad**2
+        return tilt
+
+    def _carry(self, relative: RelativePose) -> None:
+        if self._down is None:
+            return
+        if not relative.accepted:
+            self._down = None
+            return
+        seen = relative.in_frames(self._rover_T_camera)
+        self._down = seen.a_T_b[:3, :3].T @ self._down
+        self._variance += float(np.linalg.eigvalsh(seen.covariance[:3, :3])[-1])
+
+
+def _down(tilt: Tilt) -> FloatArray:
+    """Unit vector to the map's -z in rover axes."""
+    level_R_rover = Rotation.from_euler("ZYX", [0.0, tilt.pitch_rad, tilt.roll_rad]).as_matrix()
+    return np.asarray(-level_R_rover[2])

@@ -1,0 +1,103 @@
+"""Sensors that contradict the images are not believed."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from synthetic import CAMERA, rover_T_camera
+
+from frontends.geometry import adjoint, inverse, pose, se3_exp, se3_log
+from frontends.measurements import Odometry, RelativePose, StereoFrame, Tilt, Verdict
+from lunar_fg.plausibility import DeadCamera, Episodes, Plausibility
+
+MOUNT = rover_T_camera()
+SIGMA = np.diag([1e-3, 1e-3, 1e-3, 2e-3, 2e-3, 2e-3]) ** 2
+WHEELS = np.diag([2e-3, 2e-3, 5e-3, 0.01, 0.01, 0.01]) ** 2
+STEP = pose(np.eye(3), [0.1, 0.0, 0.0])
+
+
+def seen(rover_a_T_b, accepted=True):
+    camera_T_rover = inverse(MOUNT)
+    turn = adjoint(camera_T_rover)
+    return RelativePose(
+        camera_T_rover @ rover_a_T_b @ MOUNT,
+        turn @ SIGMA @ turn.T,
+        np.arange(50),
+        60,
+        Verdict.ACCEPTED if accepted else Verdict.REFUSED,
+    )
+
+
+def test_wheels_that_agree_stay_as_they_are():
+    plausibility = Plausibility(MOUNT)
+    rng = np.random.default_rng(0)
+    for k in range(300):
+        noisy = STEP @ se3_exp(np.sqrt(np.diag(WHEELS)) * rng.standard_normal(6))
+        odometry = Odometry(noisy, WHEELS)
+        assert plausibility.odometry(k, odometry, seen(STEP)) is odometry
+    assert plausibility.warnings == ()
+
+
+def test_slipping_wheels_get_the_uncertainty_of_their_slip():
+    plausibility = Plausibility(MOUNT)
+    spinning = Odometry(pose(np.eye(3), [0.4, 0.0, 0.0]), WHEELS)
+    doubted = plausibility.odometry(7, spinning, seen(STEP))
+    difference = se3_log(inverse(doubted.a_T_b) @ STEP)
+    assert difference @ np.linalg.solve(doubted.covariance, difference) < 1.0
+    assert "frame 7" in plausibility.warnings[0]
+    assert "slip" in plausibility.warnings[0]
+    # nothing says that the wheels are wrong where the images say nothing
+    assert plausibility.odometry(8, spinning, seen(STEP, accepted=False)) is spinning
+
+
+def tilts(truth, bias, rng):
+    sigma = 2e-3
+    angles = Rotation.from_matrix(truth[:3, :3]).as_euler("ZYX")
+    noise = sigma * rng.standard_normal(2)
+    return Tilt(angles[2] + bias + noise[0], angles[1] + bias + noise[1], sigma)
+
+
+def test_an_inclinometer_that_jumps_is_left_out_until_it_comes_back():
+    plausibility, rng = Plausibility(MOUNT), np.random.default_rng(1)
+    truth = np.eye(4)
+    believed = []
+    for k in range(60):
+        step = pose(Rotation.from_rotvec([0.02, -0.01, 0.05]).as_matrix(), [0.1, 0, 0])
+        truth = truth @ step
+        tilt = tilts(truth, 0.05 if 20 <= k < 40 else 0.0, rng)
+        believed.append(plausibility.tilt(k, tilt, seen(step)) is tilt)
+    assert believed == [not 20 <= k < 40 for k in range(60)]
+    assert plausibility.warnings == (
+        "frames 20 to 39: the attitude jumped and the images did not: roll and pitch left out",
+    )
+
+
+def test_after_lost_vision_a_new_tilt_is_believed():
+    plausibility, rng = Plausibility(MOUNT), np.random.default_rng(2)
+    assert plausibility.tilt(0, tilts(np.eye(4), 0.0, rng), seen(STEP)) is not None
+    assert plausibility.tilt(1, None, seen(STEP, accepted=False)) is None
+    assert plausibility.tilt(2, tilts(np.eye(4), 0.3, rng), seen(STEP)) is not None
+
+
+def frame(index, left, right):
+    return StereoFrame(index, float(index), left, right, CAMERA)
+
+
+@pytest.mark.parametrize("eye", ["left", "right"])
+def test_dead_cameras(eye):
+    rng = np.random.default_rng(3)
+    images = [rng.integers(0, 255, (240, 320), dtype=np.uint8) for _ in range(4)]
+    blank = np.zeros((240, 320), np.uint8)
+    camera = DeadCamera()
+    assert camera.found(frame(0, images[0], images[1])) == ""
+    camera.remember(frame(0, images[0], images[1]))
+    repeated = (images[0], images[2]) if eye == "left" else (images[2], images[1])
+    assert camera.found(frame(1, *repeated)) == f"the {eye} image is that of the frame before"
+    dead = (blank, images[3]) if eye == "left" else (images[3], blank)
+    assert camera.found(frame(2, *dead)) == f"the {eye} image is blank"
+
+
+def test_episodes_read_as_spans():
+    episodes = Episodes("dust")
+    for k in (3, 4, 6, 20):
+        episodes.note(k)
+    assert episodes.sentences() == ("frames 3 to 6: dust", "frame 20: dust")
