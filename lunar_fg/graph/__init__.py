@@ -2,15 +2,21 @@
 
 from lunar_fg.graph.batch import BatchResult, ConvergenceReport, optimize_batch
 from lunar_fg.graph.config import GraphConfig
-from lunar_fg.graph.incremental import IncrementalSmoother
+from lunar_fg.graph.incremental import IncrementalSmoother, PredictedPose
 from lunar_fg.graph.keyframe import Keyframe, SmoothedTrajectory
+from lunar_fg.graph.ledger import FixDecision, LedgerEntry, LoopClosure, Ruling
 
 __all__ = [
     "BatchResult",
     "ConvergenceReport",
+    "FixDecision",
     "GraphConfig",
     "IncrementalSmoother",
     "Keyframe",
+    "LedgerEntry",
+    "LoopClosure",
+    "PredictedPose",
+    "Ruling",
     "SmoothedTrajectory",
     "optimize_batch",
 ]

@@ -8,9 +8,11 @@ import numpy as np
 
 from frontends.errors import InputError
 from frontends.geometry import is_rigid
-from frontends.measurements import FloatArray, StereoObservations
+from frontends.measurements import AbsoluteFix, FloatArray, StereoObservations
 
 _PSD_TOLERANCE = 1e-9
+#: m: far past any map; beyond it squares overflow.
+_LARGEST = 1e9
 
 
 def check_finite(value: Any, source: str, field: str) -> None:
@@ -19,6 +21,16 @@ def check_finite(value: Any, source: str, field: str) -> None:
         raise InputError(
             "holds a value that is not finite", source=source, field=field,
             remedy="drop the measurement or give numbers",
+        )  # fmt: skip
+
+
+def check_size(value: Any, source: str, field: str) -> None:
+    """Raise `InputError` unless every number in `value` is finite and below 1e9."""
+    check_finite(value, source, field)
+    if np.abs(np.asarray(value, dtype=np.float64)).max(initial=0.0) > _LARGEST:
+        raise InputError(
+            f"holds a value above {_LARGEST:g}", source=source, field=field,
+            remedy="give metres and radians in the map's own frame",
         )  # fmt: skip
 
 
@@ -73,3 +85,40 @@ def check_observations(observations: StereoObservations, source: str) -> None:
             "holds a landmark twice", source=source, field="observations.landmark_id",
             remedy="one observation of a landmark in a frame",
         )  # fmt: skip
+
+
+def check_height(frame: int, height_m: float, sigma_m: float) -> None:
+    """Raise `InputError` unless a height and its sigma are usable numbers."""
+    source = f"keyframe {frame}"
+    check_size([height_m, sigma_m], source, "height")
+    if sigma_m <= 0.0:
+        raise InputError(
+            f"is {sigma_m}", source=source, field="height sigma", remedy="give metres, above 0"
+        )
+
+
+def check_fix(fix: AbsoluteFix) -> None:
+    """Raise `InputError` unless every candidate of a fix is finite with a proper covariance."""
+    source = f"fix of keyframe {fix.frame}"
+    for number, place in enumerate(fix.candidates):
+        field = f"candidate {number}"
+        check_size([place.x_m, place.y_m, place.yaw_rad], source, field)
+        check_covariance(place.covariance, 3, source, f"{field}, covariance")
+        check_size(np.sqrt(np.abs(place.covariance)), source, f"{field}, covariance")
+        if np.diag(place.covariance).min() <= 0.0 or not _is_definite(place.covariance):
+            raise InputError(
+                "is singular", source=source, field=f"{field}, covariance",
+                remedy="give x, y and yaw a sigma above 0",
+            )  # fmt: skip
+    if (fix.height_m is None) != (fix.sigma_height_m is None):
+        raise InputError("has no sigma, or no value", source=source, field="height_m")
+    if fix.height_m is not None and fix.sigma_height_m is not None:
+        check_height(fix.frame, fix.height_m, fix.sigma_height_m)
+
+
+def _is_definite(covariance: FloatArray) -> bool:
+    try:
+        np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:
+        return False
+    return True

@@ -28,6 +28,10 @@ class GraphConfig(BaseModel):
         For how many keyframes a landmark may stay unseen and still be the same landmark.
     max_landmarks
         In a segment; of more, the longest tracks are taken.
+    fix_gate_probability
+        Share of true absolute fixes and loop closures that the chi-square gate lets pass.
+    fix_window
+        How many of the latest fixes and loop closures are judged anew with each new one.
     max_iterations
         Of the solver of one segment, and of the offline optimiser (ten times as many).
     """
@@ -41,4 +45,6 @@ class GraphConfig(BaseModel):
     min_tracks: int = Field(default=8, ge=3)
     max_track_gap: int = Field(default=10, ge=1)
     max_landmarks: int = Field(default=1000, ge=20)
+    fix_gate_probability: float = Field(default=0.999, gt=0.5, lt=1.0)
+    fix_window: int = Field(default=40, ge=1, le=200)
     max_iterations: int = Field(default=20, ge=1, le=1000)

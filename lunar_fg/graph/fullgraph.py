@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 import gtsam
@@ -10,11 +11,13 @@ import numpy as np
 from frontends.camera import StereoCamera
 from frontends.errors import EstimationError
 from frontends.measurements import FloatArray, StartPrior
+from lunar_fg.graph.anchors import Anchor
 from lunar_fg.graph.config import GraphConfig
 from lunar_fg.graph.factors import between_factor, pose_key, start_factor
 from lunar_fg.graph.isam import GuardedIsam
 from lunar_fg.graph.keyframe import Entered, Keyframe
 from lunar_fg.graph.landmarks import WholeGraph, map_point
+from lunar_fg.graph.planar import Planar, PlanarChain
 
 _FRAMES_NAMED = 8
 
@@ -42,6 +45,7 @@ class FullGraph:
         # where the 4096 rule stops it.
         self._isam = GuardedIsam(qr=False, unsound=self._whole.unsound)
         self._count = 0
+        self._chain = PlanarChain()
         self._motions: list[tuple[FloatArray, FloatArray]] = []
         self._landmarks_aside = 0
         self._frames_aside: list[int] = []
@@ -68,7 +72,10 @@ class FullGraph:
         if new.previous_T_rover is None or new.covariance is None:
             pose = self._start.map_T_rover
         else:
-            pose = self._isam.pose(pose_key(here - 1)) @ new.previous_T_rover
+            before = self._isam.pose(pose_key(here - 1))
+            pose = before @ new.previous_T_rover
+            step = np.stack([np.eye(4), new.previous_T_rover])
+            self._chain.add(before, step, new.covariance)
             self._motions.append((new.previous_T_rover, new.covariance))
         values.insert(pose_key(here), gtsam.Pose3(pose))
         seen_from: dict[int, FloatArray] = {here: pose}
@@ -109,7 +116,6 @@ class FullGraph:
 
     def _start_anew(self) -> None:
         """Rebuild without a landmark: start prior and measured motions, which always solve."""
-        self._isam = GuardedIsam(qr=True)
         factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         factors.add(start_factor(pose_key(0), self._start))
         pose = self._start.map_T_rover
@@ -118,7 +124,7 @@ class FullGraph:
             pose = pose @ motion[0]
             values.insert(pose_key(i), gtsam.Pose3(pose))
             factors.add(between_factor(pose_key(i - 1), pose_key(i), *motion, "restart"))
-        self._isam.update(factors, values, 0)
+        self._isam.start_anew(factors, values)
         self._whole.set_aside(self._whole.live())
 
     def _set_aside(self, landmarks: set[int], frame: int) -> None:
@@ -145,10 +151,27 @@ class FullGraph:
         self._whole.set_aside(aside)
         self._landmarks_aside += len(aside)
 
+    def anchor(self, ordinal: int) -> Anchor:
+        """Where in the graph a keyframe is."""
+        return Anchor((pose_key(ordinal),))
+
+    def motion(self, first: int, second: int) -> Planar:
+        """Planar motion between two keyframes, no fix in it."""
+        return self._chain.between(first, second)
+
+    def exchange(
+        self, entering: Mapping[str, gtsam.NonlinearFactor], leaving: Collection[str], frame: int
+    ) -> None:
+        """See `GuardedIsam.exchange`."""
+        self._isam.exchange(entering, leaving, frame)
+
+    def at(self, ordinal: int) -> tuple[FloatArray, FloatArray]:
+        """Pose (4, 4) and covariance (6, 6) of a keyframe."""
+        return self._isam.pose(pose_key(ordinal)), self._isam.covariance(pose_key(ordinal))
+
     def latest(self) -> tuple[FloatArray, FloatArray]:
         """Pose (4, 4) and covariance (6, 6) of the last keyframe."""
-        key = pose_key(self._count - 1)
-        return self._isam.pose(key), self._isam.covariance(key)
+        return self.at(self._count - 1)
 
     def trajectory(self) -> tuple[FloatArray, FloatArray]:
         """Poses (N, 4, 4) and covariances (N, 6, 6) of all keyframes."""

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from scipy.stats import chi2
 
 from frontends.camera import StereoCamera
 from frontends.errors import EstimationError, InputError
 from frontends.measurements import (
+    AbsoluteFix,
     Estimate,
     FloatArray,
     Odometry,
@@ -18,12 +22,17 @@ from frontends.measurements import (
     Tilt,
 )
 from lunar_fg.graph import kernels
-from lunar_fg.graph.checks import check_covariance, check_pose
+from lunar_fg.graph.anchors import height_factor
+from lunar_fg.graph.checks import check_covariance, check_fix, check_height, check_pose, check_size
 from lunar_fg.graph.config import GraphConfig
+from lunar_fg.graph.fixes import FixGraph, FixJudge
 from lunar_fg.graph.fullgraph import FullGraph
-from lunar_fg.graph.keyframe import Entered, Keyframe, SmoothedTrajectory
+from lunar_fg.graph.keyframe import Entered, Keyframe, SmoothedTrajectory, floored
 from lunar_fg.graph.landmarks import in_rover_frames
+from lunar_fg.graph.ledger import FixDecision, LedgerEntry, LoopClosure
+from lunar_fg.graph.planar import Planar, planar_of
 from lunar_fg.graph.posegraph import SegmentGraph, compose
+from lunar_fg.graph.vote import NONE
 
 NO_VERTICAL_WARNING = (
     "nothing anchors the vertical (no attitude, no elevation model): roll, pitch and height "
@@ -31,7 +40,30 @@ NO_VERTICAL_WARNING = (
 )
 
 
-class _Graph(Protocol):
+@dataclass(frozen=True, slots=True)
+class PredictedPose:
+    """Where a keyframe is, as far as the graph knows.
+
+    Attributes
+    ----------
+    frame
+        Index of the keyframe.
+    map_T_rover
+        (4, 4).
+    covariance
+        (6, 6), rotation then translation, right perturbation, rover axes.
+    """
+
+    frame: int
+    map_T_rover: FloatArray
+    covariance: FloatArray
+
+    def planar(self) -> Planar:
+        """x, y, yaw and their covariance (3, 3), map axes: what a search window needs."""
+        return planar_of(self.map_T_rover, self.covariance)
+
+
+class _Graph(FixGraph, Protocol):
     @property
     def warnings(self) -> tuple[str, ...]: ...
 
@@ -84,6 +116,9 @@ class IncrementalSmoother:
         kernels.warm()
         backend = SegmentGraph if config.landmarks == "segments" else FullGraph
         self._graph: _Graph = backend(camera, np.array(rover_T_camera, float), start, config)
+        self._judge = FixJudge(self._graph, start, config)
+        self._height_gate = float(chi2.ppf(config.fix_gate_probability, 1))
+        self._heights: dict[int, tuple[float, float]] = {}
         self._index: list[int] = []
         self._stamp_s: list[float] = []
         self._vertical = False
@@ -166,6 +201,147 @@ class IncrementalSmoother:
                 f"{keyframe.stamp_s} s does not follow {self._stamp_s[-1]} s", source=source,
                 field="stamp_s", remedy="time must run forward",
             )  # fmt: skip
+
+    def predicted(self, frame: int) -> PredictedPose:
+        """Pose and marginal covariance of any keyframe so far.
+
+        Raises
+        ------
+        InputError
+            There is no such keyframe.
+        EstimationError
+            Its covariance cannot be computed.
+        """
+        return PredictedPose(frame, *self._graph.at(self._ordinal(frame)))
+
+    def add_fix(self, fix: AbsoluteFix) -> FixDecision:
+        """Judge an absolute fix of any keyframe so far, and all recent ones anew with it.
+
+        Raises
+        ------
+        InputError
+            The fix cannot be used, or its keyframe has one; nothing was entered.
+        EstimationError
+            Its keyframe cannot be solved for; nothing was entered.
+        """
+        check_fix(fix)
+        decision = self._judge.add_fix(fix, self._ordinal(fix.frame), self._index[-1])
+        self._refresh()
+        return decision
+
+    def add_relative(
+        self, i: int, j: int, a_T_b: FloatArray, covariance: FloatArray
+    ) -> FixDecision:
+        """Judge a loop-closing motion between any two keyframes, rover frames.
+
+        Parameters
+        ----------
+        i, j
+            Their indices, `i` the earlier one.
+        a_T_b
+            (4, 4) pose of `j` in `i`.
+        covariance
+            (6, 6), right perturbation, axes of `j`; independent of what else was measured.
+
+        Raises
+        ------
+        InputError, EstimationError
+            As for `add_fix`.
+        """
+        source = f"closure {i} to {j}"
+        check_pose(a_T_b, source, "a_T_b")
+        check_covariance(covariance, 6, source, "covariance")
+        check_size(a_T_b, source, "a_T_b")
+        check_size(np.sqrt(np.abs(covariance)), source, "covariance")
+        base, ordinal = self._ordinal(i), self._ordinal(j)
+        if base >= ordinal:
+            raise InputError(
+                "does not lead forward", source=source, remedy="give the earlier keyframe first"
+            )
+        closure = LoopClosure(i, j, np.array(a_T_b), floored(covariance))
+        decision = self._judge.add_relative(closure, base, ordinal, self._index[-1])
+        self._refresh()
+        return decision
+
+    def add_height(self, frame: int, z_m: float, sigma_m: float) -> bool:
+        """Enter the height of a keyframe, e.g. from the orbital elevation model.
+
+        Heights must be independent of each other: from a raster, one a cell or fewer.
+
+        Returns
+        -------
+        bool
+            False where the height is refused: outside the chi-square gate.
+
+        Raises
+        ------
+        InputError, EstimationError
+            As for `add_fix`.
+        """
+        check_height(frame, z_m, sigma_m)
+        ordinal = self._ordinal(frame)
+        if frame in self._heights:
+            raise InputError("has a height already", source=f"keyframe {frame}")
+        anchor = self._graph.anchor(ordinal)
+        pose, covariance = self._graph.at(ordinal)
+        up = pose[2, :3]
+        variance = float(up @ covariance[3:, 3:] @ up) + sigma_m**2
+        if (z_m - pose[2, 3]) ** 2 > self._height_gate * variance:
+            return False
+        factor = height_factor(anchor, z_m, sigma_m, pose)
+        self._graph.exchange({f"height {frame}": factor}, (), frame)
+        self._heights[frame] = z_m, sigma_m
+        self._vertical = True
+        self._refresh()
+        return True
+
+    def accept(self, frame: int, base: int | None = None, candidate: int = 0) -> FixDecision:
+        """Let a person believe a fix (with `base`, a loop closure), whatever the vote says.
+
+        Raises
+        ------
+        InputError
+            There is no such fix, or it has no such candidate.
+        """
+        return self._overrule(frame, base, candidate)
+
+    def reject(self, frame: int, base: int | None = None) -> FixDecision:
+        """Let a person refuse a fix (with `base`, a loop closure), whatever the vote says.
+
+        Raises
+        ------
+        InputError
+            There is no such fix.
+        """
+        return self._overrule(frame, base, NONE)
+
+    def _overrule(self, frame: int, base: int | None, choice: int) -> FixDecision:
+        ordinal = self._ordinal(frame)
+        earlier = None if base is None else self._ordinal(base)
+        decision = self._judge.overrule(ordinal, earlier, choice, self._index[-1])
+        self._refresh()
+        return decision
+
+    @property
+    def ledger(self) -> tuple[LedgerEntry, ...]:
+        """Every fix and loop closure so far with its verdicts, by keyframe."""
+        return self._judge.ledger
+
+    def _ordinal(self, frame: int) -> int:
+        ordinal = bisect_left(self._index, frame)
+        if ordinal == len(self._index) or self._index[ordinal] != frame:
+            raise InputError(
+                "is not in the graph", source=f"keyframe {frame}",
+                remedy="add the keyframe before what refers to it",
+            )  # fmt: skip
+        return ordinal
+
+    def _refresh(self) -> None:
+        """Carry the next estimate on from where the fix has put the rover."""
+        try:
+            self._before = self._graph.latest()
+        except EstimationError as error:
+            self._failures.append(f"keyframe {self._index[-1]}: {error}")
 
     def trajectory(self) -> SmoothedTrajectory:
         """Return the latest smoothed pose and covariance of every keyframe.

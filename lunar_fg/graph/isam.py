@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import TypeVar
 
 import gtsam
@@ -15,6 +15,8 @@ from lunar_fg.graph.descent import descend, named_landmark, values_without, with
 _RELINEARIZE_SKIP = 10
 _MOST_SETTLING_STEPS = 100
 _MOST_REPAIRS = 12
+#: Updates after a named factor came or went; each linearises anew what still moves.
+_MOST_CARRYING_UPDATES = 6
 # What pybind11 turns GTSAM's C++ exceptions into.
 _GTSAM_ERRORS = (RuntimeError, ValueError, IndexError, KeyError)
 
@@ -56,6 +58,7 @@ class GuardedIsam:
         self._unsound = unsound or (lambda _: set())
         self._factors = gtsam.NonlinearFactorGraph()
         self._initial = gtsam.Values()
+        self._named: dict[str, int] = {}
         self._holes = False
         self._isam = self._fresh()
         self._warnings: tuple[str, ...] = ()
@@ -76,6 +79,7 @@ class GuardedIsam:
     def _rebuild(self, values: gtsam.Values) -> None:
         isam = self._fresh()
         if self._holes:
+            self._renumber(set())
             self._factors, self._holes = without(self._factors, set()), False
         try:
             if self._factors.size():
@@ -114,6 +118,68 @@ class GuardedIsam:
         self._initial.insert(values)
         return set()
 
+    def exchange(
+        self, entering: Mapping[str, gtsam.NonlinearFactor], leaving: Collection[str], frame: int
+    ) -> None:
+        """Put named factors on known variables in, and take others out, by their index.
+
+        Raises
+        ------
+        EstimationError
+            When the graph cannot be solved so; it is as it was before the call.
+        """
+        before, factors = gtsam.ISAM2(self._isam), gtsam.NonlinearFactorGraph()
+        for factor in entering.values():
+            factors.add(factor)
+        gone = [self._named[name] for name in leaving]
+        try:
+            result = self._isam.update(factors, gtsam.Values(), gone, force_relinearize=True)
+            for _ in range(_MOST_CARRYING_UPDATES):
+                if not result.getVariablesRelinearized():
+                    break
+                result = self._isam.update(force_relinearize=True)
+            moved = [key for key in factors.keyVector() if _is_pose(key)]
+            if not all(np.isfinite(self.pose(key)).all() for key in moved):
+                raise ValueError("the estimate is not finite")
+        except _GTSAM_ERRORS as error:
+            self._isam = before
+            raise EstimationError(
+                f"keyframe {frame}: the map measurement could not be solved and is left out "
+                f"({_first_line(error)})"
+            ) from error
+        for name in leaving:
+            self._factors.remove(self._named.pop(name))
+            self._holes = True
+        for name, factor in entering.items():
+            self._named[name] = int(self._factors.size())
+            self._factors.add(factor)
+
+    def start_anew(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
+        """Drop everything but the named factors, and go on from these by QR.
+
+        Raises
+        ------
+        EstimationError
+            When even they cannot be solved.
+        """
+        for name, i in self._named.items():
+            factor, self._named[name] = self._factors.at(i), int(factors.size())
+            factors.add(factor)
+        self._factors, self._initial, self._holes, self._qr = factors, values, False, True
+        self._rebuild(values)
+
+    def _renumber(self, landmarks: set[int]) -> None:
+        """Follow the named factors when the books are cleared of landmarks and of holes."""
+        new: dict[int, int] = {}
+        wanted = set(self._named.values())
+        count = 0
+        for i in range(self._factors.size() if wanted else 0):
+            if self._factors.exists(i) and landmarks.isdisjoint(self._factors.at(i).keys()):
+                if i in wanted:
+                    new[i] = count
+                count += 1
+        self._named = {name: new[i] for name, i in self._named.items()}
+
     def remove(self, landmarks: set[int]) -> None:
         """Take landmarks out of the graph, with all their factors."""
         gone = [
@@ -125,7 +191,8 @@ class GuardedIsam:
             self._isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), gone)
         except _GTSAM_ERRORS:
             estimate = self._linearization()
-            self._factors = without(self._factors, landmarks)
+            self._renumber(landmarks)
+            self._factors, self._holes = without(self._factors, landmarks), False
             self._initial = values_without(self._initial, landmarks)
             self._rebuild(values_without(estimate, landmarks))
             return
@@ -187,6 +254,7 @@ class GuardedIsam:
             except _GTSAM_ERRORS as failure:
                 reason = failure
                 continue
+            self._renumber(aside)
             self._isam, self._factors, self._initial = isam, whole, start
             self._holes = False
             if self._qr and not was_qr:
@@ -259,12 +327,14 @@ class GuardedIsam:
         end = descend(
             self._factors, self._isam.calculateEstimate(), _MOST_SETTLING_STEPS, self._unsound
         )
-        isam, factors, initial = self._isam, self._factors, self._initial
+        isam, factors, initial, named = self._isam, self._factors, self._initial, dict(self._named)
+        self._renumber(end.set_aside)
         self._factors, self._initial = end.graph, end.values
         try:
             self._rebuild(self._initial)
         except EstimationError:
             self._isam, self._factors, self._initial = isam, factors, initial
+            self._named = named
             raise
         return end.set_aside
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
+from collections.abc import Collection, Mapping
+
 import gtsam
 import numpy as np
 
 from frontends.camera import StereoCamera
 from frontends.errors import EstimationError, InputError
-from frontends.geometry import adjoint, inverse, se3_exp, se3_log
+from frontends.geometry import adjoint, inverse
 from frontends.measurements import FloatArray, StartPrior, Tilt
+from lunar_fg.graph.anchors import Anchor, spread
 from lunar_fg.graph.config import GraphConfig
 from lunar_fg.graph.factors import (
     between_factor,
@@ -19,6 +23,7 @@ from lunar_fg.graph.factors import (
 )
 from lunar_fg.graph.isam import GuardedIsam
 from lunar_fg.graph.keyframe import Entered, Keyframe
+from lunar_fg.graph.planar import Planar, PlanarChain
 from lunar_fg.graph.segment import Segment, SegmentSolution
 from lunar_fg.graph.uprights import uprights
 
@@ -51,6 +56,9 @@ class SegmentGraph:
         # Of the last boundary; it stays as it is while a segment is open.
         self._boundary: tuple[FloatArray, FloatArray] | None = None
         self._solutions: list[SegmentSolution] = []
+        # Ordinal of the keyframe that each segment begins with, the open one too.
+        self._begins = [0]
+        self._chain = PlanarChain()
         self._failures: list[str] = []
         self._close_at = config.segment_keyframes
 
@@ -114,6 +122,7 @@ class SegmentGraph:
             self._failures.append(f"{name}: carried by its motions alone ({error})")
         self._close_at = self._config.segment_keyframes
         self._solutions.append(solution)
+        self._begins.append(self._begins[-1] + len(segment) - 1)
         self._open(last)
 
     def _enter(self, solution: SegmentSolution, last: Keyframe, name: str) -> None:
@@ -121,12 +130,63 @@ class SegmentGraph:
         factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         motion, covariance = solution.first_T_last, solution.last_covariance
         factors.add(between_factor(first, second, motion, covariance, name))
-        values.insert(second, gtsam.Pose3(self._isam.pose(first) @ motion))
+        map_T_first = self._isam.pose(first)
+        values.insert(second, gtsam.Pose3(map_T_first @ motion))
         self._add_tilt(factors, last, second)
         for key, upright in zip((first, second), uprights(solution, self._tilts), strict=True):
             if upright is not None:
                 factors.add(upright_factor(key, *upright))
         self._isam.update(factors, values, last.index)
+        self._chain.add(map_T_first, solution.first_T_rover, solution.covariance)
+
+    def anchor(self, ordinal: int) -> Anchor:
+        """Where in the graph a keyframe is; the open segment is closed for it.
+
+        Raises
+        ------
+        EstimationError
+            When the segment cannot be closed.
+        """
+        if ordinal > self._begins[-1]:
+            self.close()
+            if ordinal > self._begins[-1]:
+                raise EstimationError(self._failures[-1])
+        number = bisect_right(self._begins, ordinal) - 1
+        position = ordinal - self._begins[number]
+        if position == 0:
+            return Anchor((pose_key(number),))
+        ends = (pose_key(number), pose_key(number + 1))
+        return Anchor(ends, spread(self._solutions[number], position))
+
+    def motion(self, first: int, second: int) -> Planar:
+        """Planar motion between two keyframes in closed segments, no fix in it."""
+        return self._chain.between(first, second)
+
+    def exchange(
+        self, entering: Mapping[str, gtsam.NonlinearFactor], leaving: Collection[str], frame: int
+    ) -> None:
+        """See `GuardedIsam.exchange`."""
+        self._isam.exchange(entering, leaving, frame)
+        self._boundary = None
+
+    def at(self, ordinal: int) -> tuple[FloatArray, FloatArray]:
+        """Pose (4, 4) and covariance (6, 6) of a keyframe."""
+        begin = self._begins[-1]
+        if ordinal >= begin and self._segment is not None:
+            here = self._last_boundary()
+            return (
+                here
+                if ordinal == begin
+                else compose(*here, *self._segment.chain()[ordinal - begin - 1])
+            )
+        anchor = self.anchor(ordinal)
+        poses = [self._isam.pose(key) for key in anchor.keys]
+        if anchor.spread is None:
+            return poses[0], self._isam.covariance(anchor.keys[0])
+        joint = self._isam.joint_covariance(*anchor.keys)
+        by_ends = anchor.by_keys()
+        total = by_ends @ joint @ by_ends.T + anchor.rest()
+        return anchor.spread.pose(poses[0], poses[1]), 0.5 * (total + total.T)
 
     def finish(self) -> None:
         """Close the open segment and relinearise all."""
@@ -139,13 +199,16 @@ class SegmentGraph:
 
     def latest(self) -> tuple[FloatArray, FloatArray]:
         """Pose (4, 4) and covariance (6, 6) of the last keyframe."""
-        if self._boundary is None:
-            key = pose_key(len(self._solutions))
-            self._boundary = self._isam.pose(key), self._isam.covariance(key)
-        pose, covariance = self._boundary
+        pose, covariance = self._last_boundary()
         if self._segment is None or len(self._segment) == 1:
             return pose, covariance
         return compose(pose, covariance, *self._segment.predicted())
+
+    def _last_boundary(self) -> tuple[FloatArray, FloatArray]:
+        if self._boundary is None:
+            key = pose_key(len(self._solutions))
+            self._boundary = self._isam.pose(key), self._isam.covariance(key)
+        return self._boundary
 
     def trajectory(self) -> tuple[FloatArray, FloatArray]:
         """Poses (N, 4, 4) and covariances (N, 6, 6) of all keyframes."""
@@ -204,17 +267,11 @@ def interior(
     tuple of list of FloatArray
         Poses (4, 4) and covariances (6, 6) of the keyframes strictly between the ends.
     """
-    pull = se3_log(inverse(solution.first_T_last) @ inverse(map_T_first) @ map_T_last)
-    last_back = adjoint(inverse(solution.first_T_last))
-    gain_all = np.linalg.solve(solution.last_covariance, solution.covariance[-6:, :]).T
     poses, covariances = [], []
     for i in range(1, len(solution.first_T_rover) - 1):
-        rows = slice(6 * (i - 1), 6 * i)
-        gain = gain_all[rows]
-        local = solution.first_T_rover[i]
-        rest = solution.covariance[rows, rows] - gain @ solution.covariance[-6:, rows]
-        by_ends = np.hstack([adjoint(inverse(local)) - gain @ last_back, gain])
-        poses.append(map_T_first @ local @ se3_exp(gain @ pull))
-        total = by_ends @ joint @ by_ends.T + rest
+        inner = spread(solution, i)
+        by_ends = inner.by_ends()
+        poses.append(inner.pose(map_T_first, map_T_last))
+        total = by_ends @ joint @ by_ends.T + inner.rest
         covariances.append(0.5 * (total + total.T))
     return poses, covariances
