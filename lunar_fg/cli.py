@@ -9,6 +9,7 @@ import typer
 from rich.logging import RichHandler
 
 from lunar_fg import __version__
+from lunar_fg.commands.campaign import campaign
 from lunar_fg.commands.demo import demo
 from lunar_fg.commands.evaluate import evaluate
 from lunar_fg.commands.geo import geo
@@ -48,6 +49,7 @@ app.command(name="eval")(guarded(evaluate))
 app.command()(guarded(demo))
 app.command()(guarded(warmup))
 app.command()(guarded(match))
+app.command()(guarded(campaign))
 app.command()(guarded(geo))
 
 if __name__ == "__main__":

@@ -116,6 +116,31 @@ def nees(pair: Pair, frame: NeesFrame) -> Nees:
     return _with_band(float((errors**2).sum(axis=1).mean() / dof), n, dof, len(errors))
 
 
+def coverage(pair: Pair, frame: NeesFrame, sigmas: float = 3.0) -> NDArray[np.bool_]:
+    """Whether each pose but the first is within so many sigmas of the truth on every map axis.
+
+    Raises
+    ------
+    UndefinedMetricError
+        As `nees`.
+    """
+    if pair.estimate.covariance is None:
+        raise UndefinedMetricError("the estimate has no covariance")
+    poses, covariance = pair.estimate.map_T_rover, pair.estimate.covariance
+    truth = pair.truth.positions
+    if frame is NeesFrame.FROM_START:
+        if isinstance(pair.truth, PositionTrack):
+            raise UndefinedMetricError("the truth has positions only: no common start is known")
+        poses, covariance = _relative_to_start(poses, covariance)
+        truth = (inverse(pair.true_poses[0]) @ pair.true_poses)[:, :3, 3]
+    axes = truth.shape[1]
+    turn = poses[1:, :axes, :3]
+    spread = turn @ covariance[1:, 3:, 3:] @ turn.transpose(0, 2, 1)
+    sigma = np.sqrt(np.diagonal(spread, axis1=1, axis2=2))
+    error = np.abs(poses[1:, :axes, 3] - truth[1:])
+    return np.asarray((error <= sigmas * sigma).all(axis=1))
+
+
 def pooled(runs: Sequence[Nees]) -> Nees:
     """NEES over independent runs, e.g. a Monte Carlo campaign: each counts its `n`."""
     if not runs or len({run.dof for run in runs}) != 1:

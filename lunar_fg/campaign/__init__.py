@@ -1,0 +1,1 @@
+"""Many runs: Monte Carlo studies, parameter sweeps and fault campaigns."""
