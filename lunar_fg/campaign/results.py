@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -64,9 +65,13 @@ class Results:
         return self.path / "summary.html"
 
     def append(self, outcome: Outcome) -> None:
-        """Write one outcome at once."""
-        with (self.path / _LINES).open("a", encoding="utf-8") as sink:
-            sink.write(json.dumps(asdict(outcome)) + "\n")
+        """Write one outcome at once, on a line of its own."""
+        with (self.path / _LINES).open("a+b") as lines:
+            if lines.tell() > 0:
+                lines.seek(-1, os.SEEK_END)
+                if lines.read(1) != b"\n":  # an interruption cut the last line off
+                    lines.write(b"\n")
+            lines.write(json.dumps(asdict(outcome)).encode() + b"\n")
 
     def read(self) -> list[Outcome]:
         """Read all outcomes so far, by number; a line cut off by an interruption is left out."""

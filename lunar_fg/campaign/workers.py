@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import importlib
 import multiprocessing
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 from frontends.errors import DependencyError, InputError
 from lunar_fg.campaign.study import Trial
@@ -17,7 +18,7 @@ from lunar_fg.campaign.trial import Outcome, failed, run_trial
 Run = Callable[[Trial], Outcome]
 
 #: A trial that takes its worker down so often is given up.
-MOST_DEATHS = 3
+MOST_DEATHS = 2
 _CONNECT_S = 10.0
 
 
@@ -105,7 +106,7 @@ class DaskCluster:
 
     def __init__(self, address: str) -> None:
         try:
-            import distributed
+            distributed: Any = importlib.import_module("distributed")
         except ImportError as error:
             raise DependencyError(
                 'distributed is not installed; pip install "lunar-fg[cluster]"'

@@ -94,9 +94,9 @@ class FaultyDataset:
         """Count the frames of the sound dataset."""
         return len(self._dataset)
 
-    def frames(self) -> Iterator[Frame]:
-        """Read the frames as the faults leave them."""
+    def frames(self, after: int = -1) -> Iterator[Frame]:
+        """Read the frames as the faults leave them; all are read, for faults have a history."""
         frames: Iterator[Frame] = self._dataset.frames()
         for fault, rng in zip(self._faults, self._generators(), strict=True):
             frames = fault.frames(frames, rng)
-        return frames
+        return (frame for frame in frames if frame.index > after)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -41,6 +42,8 @@ class TraverseSpec:
     relative_sigma_rot_rad, relative_sigma_trans_m
         Noise of the frontend's relative poses.
     """
+
+    __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
 
     keyframes: int = 40
     step_m: float = 0.5
