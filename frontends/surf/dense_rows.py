@@ -50,68 +50,47 @@ def narrow(
         rings[1, slot, x] = np.int16(value >> shift1)
 
 
-# In the next three, the arguments ya.. are rows and xa.. column offsets of the cumulative
-# edges a <= b <= c <= d. Rows are passed as indices because slices cost a reference count each,
-# and indices are unsigned because signed ones get a test for negative values in the loop.
+# In the next three, the arguments ya.. are rows of the cumulative edges a <= b <= c <= d. Rows are
+# passed as indices because slices cost a reference count each, and indices are unsigned because
+# signed ones get a test for negative values in the loop. Few pointers a loop: with more, the
+# compiler does not check whether they overlap, and gives up on SIMD.
 
 
 @njit
 def _second_difference(
-    source: NDArray[np.int16],
-    rows: tuple[int, int, int, int],
-    columns: tuple[int, int, int, int],
-    work: NDArray[np.int16],
-    target: int,
-    n: int,
+    ring: NDArray[np.int16], rows: tuple[int, int, int, int], work: NDArray[np.int16], n: int
 ) -> None:
-    """Sum of the outer lobes minus twice the middle one."""
+    """Sum of the outer lobes minus twice the middle one, down the columns: `work` row 0."""
     ya, yb, yc, yd = rows
-    xa, xb = np.uint64(columns[0]), np.uint64(columns[1])
-    xc, xd = np.uint64(columns[2]), np.uint64(columns[3])
     for x in range(np.uint64(n)):
-        work[target, x] = np.int16(
-            source[yd, x + xd] - source[ya, x + xa] + 3 * (source[yb, x + xb] - source[yc, x + xc])
-        )
+        work[0, x] = np.int16(ring[yd, x] - ring[ya, x] + 3 * (ring[yb, x] - ring[yc, x]))
 
 
 @njit
 def _difference(
-    source: NDArray[np.int16],
-    rows: tuple[int, int],
-    columns: tuple[int, int],
-    work: NDArray[np.int16],
-    target: int,
-    n: int,
+    ring: NDArray[np.int16], rows: tuple[int, int], work: NDArray[np.int16], n: int
 ) -> None:
-    """Sum between two edges."""
+    """Sum between two edges, down the columns: `work` row 1."""
     ya, yb = rows
-    xa, xb = np.uint64(columns[0]), np.uint64(columns[1])
     for x in range(np.uint64(n)):
-        work[target, x] = np.int16(source[yb, x + xb] - source[ya, x + xa])
+        work[1, x] = np.int16(ring[yb, x] - ring[ya, x])
 
 
 @njit
 def _lobe_difference(
-    source: NDArray[np.int16],
-    rows: tuple[int, int, int, int],
-    columns: tuple[int, int, int, int],
-    work: NDArray[np.int16],
-    target: int,
-    n: int,
+    ring: NDArray[np.int16], rows: tuple[int, int, int, int], work: NDArray[np.int16], n: int
 ) -> None:
-    """First lobe minus second lobe."""
+    """First lobe minus second lobe, down the columns: `work` row 2."""
     ya, yb, yc, yd = rows
-    xa, xb = np.uint64(columns[0]), np.uint64(columns[1])
-    xc, xd = np.uint64(columns[2]), np.uint64(columns[3])
     for x in range(np.uint64(n)):
-        work[target, x] = np.int16(
-            (source[yb, x + xb] - source[ya, x + xa]) - (source[yd, x + xd] - source[yc, x + xc])
-        )
+        work[2, x] = np.int16((ring[yb, x] - ring[ya, x]) - (ring[yd, x] - ring[yc, x]))
 
 
 @njit
 def _determinant(
     work: NDArray[np.int16],
+    lobe: int,
+    margin: int,
     scale: np.float32,
     scale_xy: np.float32,
     out: NDArray[np.float32],
@@ -119,11 +98,25 @@ def _determinant(
     slot: int,
     n: int,
 ) -> None:
+    """Differences along the row of what is in `work`, and their determinant."""
+    half = lobe + lobe // 2
+    inner = lobe // 2
+    wing = lobe_wing(lobe)
+    a, b = np.uint64(margin - half), np.uint64(margin - inner)
+    c, d = np.uint64(margin + inner + 1), np.uint64(margin + half + 1)
+    before, after = np.uint64(margin - wing), np.uint64(margin + wing + 1)
+    left, middle = np.uint64(margin - lobe), np.uint64(margin)
+    next_one, right = np.uint64(margin + 1), np.uint64(margin + lobe + 1)
     for x in range(np.uint64(n)):
-        xy = np.float32(work[5, x])
-        out[layer, slot, x] = scale * (
-            np.float32(work[3, x]) * np.float32(work[4, x])
-        ) - scale_xy * (xy * xy)
+        yy = np.int16(work[0, x + after] - work[0, x + before])
+        xx = np.int16(work[1, x + d] - work[1, x + a] + 3 * (work[1, x + b] - work[1, x + c]))
+        xy = np.float32(
+            np.int16(
+                (work[2, x + middle] - work[2, x + left])
+                - (work[2, x + right] - work[2, x + next_one])
+            )
+        )
+        out[layer, slot, x] = scale * (np.float32(xx) * np.float32(yy)) - scale_xy * (xy * xy)
 
 
 @njit
@@ -155,7 +148,7 @@ def dense_row(
         Columns, a multiple of `LANES`; those beyond the image get nothing of use.
     shift : int
         Bits dropped in `ring`.
-    work : ndarray (6, as `ring`) int16
+    work : ndarray (3, as `ring`) int16
         Scratch rows.
     out : ndarray (2, 4, >= n) float32
         Written at [layer, slot, x - margin].
@@ -165,41 +158,19 @@ def dense_row(
     wing = lobe_wing(lobe)  # a lobe's long side covers y - wing .. y + wing
     mask = RING - 1
     reach = n + padded_length(2 * margin + 1)
-    tall = (-half, -inner, inner + 1, half + 1)
-    cross = (-lobe, 0, 1, lobe + 1)
-
-    still = (0, 0, 0, 0)
     rows = (
-        (y + tall[0]) & mask,
-        (y + tall[1]) & mask,
-        (y + tall[2]) & mask,
-        (y + tall[3]) & mask,
+        (y - half) & mask,
+        (y - inner) & mask,
+        (y + inner + 1) & mask,
+        (y + half + 1) & mask,
     )
-    _second_difference(ring, rows, still, work, 0, reach)
-    _difference(ring, ((y - wing) & mask, (y + wing + 1) & mask), (0, 0), work, 1, reach)
-    rows = (
-        (y + cross[0]) & mask,
-        y & mask,
-        (y + 1) & mask,
-        (y + cross[3]) & mask,
+    _second_difference(ring, rows, work, reach)
+    _difference(ring, ((y - wing) & mask, (y + wing + 1) & mask), work, reach)
+    _lobe_difference(
+        ring, ((y - lobe) & mask, y & mask, (y + 1) & mask, (y + lobe + 1) & mask), work, reach
     )
-    _lobe_difference(ring, rows, still, work, 2, reach)
-
-    columns = (margin + tall[0], margin + tall[1], margin + tall[2], margin + tall[3])
-    _second_difference(work, (1, 1, 1, 1), columns, work, 3, n)
-    _difference(work, (0, 0), (margin - wing, margin + wing + 1), work, 4, n)
-    columns = (margin + cross[0], margin, margin + 1, margin + cross[3])
-    _lobe_difference(work, (2, 2, 2, 2), columns, work, 5, n)
-
     unit = np.float32(1 << shift)
     area = np.float32(lobe * (2 * wing + 1))
     unit_xy = weight_xy(lobe) * unit / np.float32(lobe * lobe)
-    _determinant(
-        work,
-        (unit / area) * (unit / area),
-        unit_xy * unit_xy,
-        out,
-        layer,
-        slot,
-        n,
-    )
+    scale = (unit / area) * (unit / area)
+    _determinant(work, lobe, margin, scale, unit_xy * unit_xy, out, layer, slot, n)

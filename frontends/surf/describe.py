@@ -11,14 +11,15 @@ from frontends.surf.keypoints import Keypoints
 from frontends.surf.orientation import orient_level, sample_weights
 from frontends.surf.pyramid import Pyramid
 from frontends.surf.rotated import describe_rotated_level
-from frontends.surf.subregions import DESCRIPTOR_SIZE, LANES, subregion_weights
+from frontends.surf.subregions import DESCRIPTOR_SIZE, reach_weights, subregion_weights
 from frontends.surf.upright import describe_upright_level
 
 _SMALLEST_SIZE = 12.0  # size at which a keypoint moves to the next level's image
 _LARGEST_SCALE = 3.6  # s in pixels of a level: what the padding has room for
+_BAND = 32  # rows; a window covers more
 _SCALE_OF_SIZE = 1.2 / 9  # a filter of side L stands for a Gaussian of 1.2 / 9 L
 
-_WINDOW = subregion_weights(20, LANES)
+_WINDOW = reach_weights()
 _SAMPLES = sample_weights()
 _WIDE_WINDOW = subregion_weights(RESPONSES, RESPONSES)
 
@@ -48,19 +49,19 @@ def describe(
     descriptors = np.empty((len(keypoints), DESCRIPTOR_SIZE), np.float32)
     angles = np.zeros_like(keypoints.angle) if assign else keypoints.angle.copy()
     level_of = np.floor(np.log2(keypoints.size / _SMALLEST_SIZE))
-    level_of = np.clip(level_of, 0, pyramid.levels - 1).astype(np.intp)
+    level_of = np.clip(level_of, 0, pyramid.levels - 1).astype(np.int64)
+    block = np.exp2(level_of).astype(np.float32)
+    edges = (keypoints.xy + np.float32(0.5)) / block[:, None]
+    scales = keypoints.size * (np.float32(_SCALE_OF_SIZE) / block)
+    scales = np.minimum(scales, np.float32(_LARGEST_SCALE))
+    centres = edges + np.float32(PAD)
     # neighbours in the image after each other: their pixels are then in the cache
-    by_row = np.argsort(keypoints.xy[:, 1], kind="stable")
-    by_level = level_of[by_row]
-    for level in range(pyramid.levels):
-        order = by_row[by_level == level]
+    band = level_of << 32 | (edges[:, 1].astype(np.int64) // _BAND) << 16
+    visits = np.argsort(band + edges[:, 0].astype(np.int64))
+    ends = np.cumsum(np.bincount(level_of, minlength=pyramid.levels))
+    for level, order in enumerate(np.split(visits, ends[:-1])):
         if not len(order):
             continue
-        block = np.float32(1 << level)
-        edges = (keypoints.xy + np.float32(0.5)) / block
-        scales = keypoints.size * (np.float32(_SCALE_OF_SIZE) / block)
-        scales = np.minimum(scales, np.float32(_LARGEST_SCALE))
-        centres = edges + np.float32(PAD)
         if upright and not accurate:
             describe_upright_level(
                 pyramid.integral(level), centres, scales, order, _WINDOW, descriptors

@@ -11,6 +11,7 @@ from frontends.surf.maxima import NEIGHBOURS, detect_pair
 from frontends.surf.pyramid import Pyramid
 from frontends.surf.refinement import refine_all
 
+_BEYOND = float(np.finfo(np.float32).max)  # the kernels' arithmetic knows no infinity
 _BASE_LOBE = 5  # of the lowest layer that can hold a maximum (filter 15); 9 lies below it
 
 
@@ -49,27 +50,26 @@ class _Candidates:
         self._neighbours = neighbours
         self.responses = responses[:count]
 
-    def refined(self, least: float, above: float) -> NDArray[np.float32]:
-        """Refine the candidates with least <= response < above.
+    def refine(self, least: float, above: float, rows: NDArray[np.float32], first: int) -> int:
+        """Refine the candidates with least <= response < above into `rows`, from `first` on.
 
         Returns
         -------
-        ndarray (M, 6) float32
-            x, y, size (pixels of the image), response, trace, octave of those that hold.
+        int
+            Row after the last one filled; see `refine_all` for the columns.
         """
-        chosen = np.flatnonzero((self.responses >= least) & (self.responses < above))
-        rows = np.empty((len(chosen) + 1, 5), np.float32)
-        kept = refine_all(
-            self._integral, self._lobe, self._positions, self._neighbours, chosen, rows
+        return refine_all(
+            self._integral,
+            self._lobe,
+            self._positions,
+            self._neighbours,
+            self.responses,
+            np.float32(least),
+            np.float32(above),
+            self._octave,
+            rows,
+            first,
         )
-        out = np.empty((kept, 6), np.float32)
-        out[:, :5] = rows[:kept]
-        out[:, 5] = self._octave
-        block = np.float32(1 << self._octave)
-        # the centre of block i is at pixel (i + 1/2) block - 1/2
-        out[:, :2] = (out[:, :2] + np.float32(0.5)) * block - np.float32(0.5)
-        out[:, 2] *= block
-        return out
 
 
 def detect(
@@ -103,8 +103,7 @@ def detect(
         rows = _strongest(_candidates(pyramid, octaves, layers, guess), wanted, mask)
     if wanted is None or len(rows) < wanted:
         rows = _strongest(_candidates(pyramid, octaves, layers, threshold), wanted, mask)
-    # equal responses stay in scan order: the result does not depend on the sort
-    rows = rows[np.argsort(-rows[:, 3], kind="stable")[:wanted]]
+    rows = rows[_falling(rows[:, 3])[:wanted]]
     return Keypoints(
         rows[:, :2],
         rows[:, 2],
@@ -118,29 +117,44 @@ def detect(
 def _strongest(
     pairs: list[_Candidates], wanted: int | None, mask: NDArray[np.bool_] | None
 ) -> NDArray[np.float32]:
-    """Refined keypoints, among them the `wanted` strongest: rows of `_Candidates.refined`."""
-    rows = np.empty((0, 6), np.float32)
-    if not pairs:
-        return rows
+    """Refined keypoints, among them the `wanted` strongest: rows as `refine_all` gives them."""
+    total = sum(pair.responses.size for pair in pairs)
+    rows = np.empty((total + 1, 6), np.float32)
+    if total == 0:
+        return rows[:0]
     responses = np.concatenate([pair.responses for pair in pairs])
     # Only the strongest candidates need refining. About half of them survive it; should
     # fewer do, the next share follows, so the result is the same as without this shortcut.
-    batch = responses.size if wanted is None else int(2.2 * wanted) + 64
-    above = np.inf
+    batch = total if wanted is None else int(2.2 * wanted) + 64
+    above = _BEYOND
+    count = 0
     while True:
-        least = -np.inf
-        if batch < responses.size:
-            least = float(np.partition(responses, responses.size - batch)[-batch])
-        fresh = [pair.refined(least, above) for pair in pairs]
-        rows = np.concatenate([rows, *fresh])
+        least = -_BEYOND
+        if batch < total:
+            least = float(np.partition(responses, total - batch)[-batch])
+        for pair in pairs:
+            count = pair.refine(least, above, rows, count)
+        found = rows[:count]
         if mask is not None:
-            column = np.rint(rows[:, 0]).astype(np.intp)
-            line = np.rint(rows[:, 1]).astype(np.intp)
-            rows = rows[mask[line, column]]
-        if least == -np.inf or (wanted is not None and len(rows) >= wanted):
-            return rows
+            column = np.rint(found[:, 0]).astype(np.intp)
+            line = np.rint(found[:, 1]).astype(np.intp)
+            found = found[mask[line, column]]
+        if least == -_BEYOND or (wanted is not None and len(found) >= wanted):
+            return found
         above = least
         batch *= 2
+
+
+def _falling(values: NDArray[np.float32]) -> NDArray[np.intp]:
+    """Order of falling positive values; equal ones stay as they are, whatever the sort.
+
+    One sort of integers, value above index, which numpy does ten times as fast as a stable
+    sort of indices.
+    """
+    high = ~np.ascontiguousarray(values).view(np.uint32)
+    keys = (high.astype(np.uint64) << np.uint64(32)) | np.arange(len(values), dtype=np.uint64)
+    keys.sort()
+    return (keys & np.uint64(0xFFFFFFFF)).astype(np.intp)
 
 
 def _candidates(pyramid: Pyramid, octaves: int, layers: int, threshold: float) -> list[_Candidates]:

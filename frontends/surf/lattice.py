@@ -14,7 +14,8 @@ from frontends.jit import njit
 # Fraction bits of the bilinear weights in each direction. Sums over the largest Haar wavelet
 # (half of 4s x 4s at s = 3.6, grey*4) times 2^14 stay below 2^31; lattice values themselves wrap.
 WEIGHT_BITS = 7
-LATTICE_LANES = 24  # columns of a lattice buffer: the n in use, rounded up for SIMD
+LATTICE_LANES = 24  # columns sampled: the n in use, rounded up for SIMD
+LATTICE_PITCH = 32  # from one row to the next: responses of a whole row read beyond its end
 LINE_LENGTH = 128  # of the scratch line: 21 * 3.6 + 3 pixels, rounded up to _CHUNK
 _CHUNK = 32
 
@@ -45,9 +46,9 @@ def sample_lattice(
         Lines, at most 24.
     line, columns, weights : ndarray
         Scratch: int32 (128,), uint64 (24,), int32 (24,).
-    out : ndarray (>= n, 24) int32
-        Samples times 2**14, modulo 2**32: only differences over boxes mean something.
-        Columns beyond n are copies of the first.
+    out : ndarray (>= 32 n,) int32
+        Samples times 2**14, modulo 2**32, row i from 32 i on: only differences over boxes mean
+        something. Columns beyond n are copies of the first.
     """
     # Positions in fixed point: all cells have exactly the same size, so that differences of
     # boxes cancel the mean grey exactly, whatever the rounding of the weights.
@@ -75,8 +76,9 @@ def sample_lattice(
             # each step cut to 32 bits: otherwise numba works in 64, three times as slow
             slope = np.int32(np.int32(below - above) * weight)
             line[k] = np.int32(np.int32(above << WEIGHT_BITS) + slope)
+        place = np.uint64(LATTICE_PITCH * i)
         for j in range(LATTICE_LANES):
             left = line[columns[j]]
             right = line[columns[j] + next_column]
             slope = np.int32(np.int32(right - left) * weights[j])
-            out[i, j] = np.int32(np.int32(left << WEIGHT_BITS) + slope)
+            out[place + np.uint64(j)] = np.int32(np.int32(left << WEIGHT_BITS) + slope)

@@ -55,17 +55,26 @@ def _flag_maxima(
 
 
 @njit
-def _first_of_ties(dense: NDArray[np.float32], layer: int, centre: int, k: int) -> bool:
-    """Whether no neighbour before (layer, centre, k) in scan order is as high."""
-    value = dense[layer, centre & 3, k]
-    for other in range(layer + 1):
-        for row in range(centre - 1, centre + 2):
-            for col in range(k - 1, k + 2):
-                if other == layer and row == centre and col == k:
-                    return True
-                if dense[other, row & 3, col] >= value:
-                    return False
-    return True
+def _collect(flags: NDArray[np.uint8], words: NDArray[np.uint64], found: NDArray[np.int64]) -> int:
+    """List the columns that are flagged; returns how many.
+
+    Eight flags are one word. A block of 64 without any is the usual case on plain ground, and
+    within a word a branch a flag would be mispredicted more often than not.
+    """
+    count = 0
+    for block in range(0, words.size, 8):
+        together = np.uint64(0)
+        for word in range(8):
+            together |= words[np.uint64(block + word)]
+        if together == 0:
+            continue
+        for word in range(block, block + 8):
+            if words[np.uint64(word)] == 0:
+                continue
+            for flag in range(8 * word, 8 * word + 8):
+                found[np.uint64(count)] = flag
+                count += np.int64(flags[np.uint64(flag)])
+    return count
 
 
 @njit
@@ -73,41 +82,23 @@ def _store_candidate(
     dense: NDArray[np.float32],
     centre: int,
     k: int,
-    margin: int,
-    h: int,
-    w: int,
-    single: bool,
-    count: int,
-    positions: NDArray[np.int32],
+    layer: int,
+    target: int,
     neighbours: NDArray[np.float32],
-    responses: NDArray[np.float32],
-) -> int:
-    """Check a flagged maximum at column `k` of `dense` and store it; 1 if it is one, else 0."""
-    x = k + margin
-    layer = 0 if dense[0, centre & 3, k] >= dense[1, centre & 3, k] else 1
-    if layer == 1 and single:
-        return 0
-    edge = margin + 1 + 3 * layer  # the filter one layer up must fit, and one pixel more
-    if centre < edge or centre >= h - edge or x < edge or x >= w - edge:
-        return 0
-    if not _first_of_ties(dense, layer, centre, k):
-        return 0
-    if count < positions.shape[0]:
-        target = np.uint64(count)
-        positions[target, 0] = layer
-        positions[target, 1] = centre
-        positions[target, 2] = x
-        responses[target] = dense[layer, centre & 3, k]
-        left = np.uint64(k - 1)
-        for other in range(2):
-            for row in range(3):
-                slot = (centre + row - 1) & 3
-                first = 9 * other + 3 * row
-                for col in range(3):
-                    neighbours[target, np.uint64(first + col)] = dense[
-                        other, slot, left + np.uint64(col)
-                    ]
-    return 1
+) -> bool:
+    """Copy the neighbours of column `k` of `dense`; whether none before it is as high."""
+    value = dense[layer, centre & 3, k]
+    here = 9 * layer + 4
+    ties = 0
+    for other in range(2):
+        for row in range(3):
+            slot = (centre + row - 1) & 3
+            for col in range(3):
+                place = 9 * other + 3 * row + col
+                response = dense[other, slot, np.uint64(k - 1 + col)]
+                neighbours[np.uint64(target), np.uint64(place)] = response
+                ties += (response >= value) & (place < here)
+    return ties == 0
 
 
 @kernel
@@ -148,7 +139,7 @@ def detect_pair(
     Returns
     -------
     int
-        Number of candidates; above C, only C were stored.
+        Number of candidates; above C, not all were stored.
     """
     h = integral.shape[0] - 2 * PAD - 1
     lobes = (lobe, lobe + 2)
@@ -161,12 +152,13 @@ def detect_pair(
     reach = n + padded_length(2 * margin + 1)  # integral columns they need
     available = min(reach, integral.shape[1] - PAD)
     rings = np.zeros((2, RING, reach), np.int16)
-    work = np.zeros((6, reach), np.int16)
+    work = np.zeros((3, reach), np.int16)
     dense = np.zeros((2, 4, n), np.float32)  # the last rows of each layer's responses
     best = np.zeros((4, n + 2), np.float32)  # and of the larger of the two
     column = np.zeros(n + 2, np.float32)
     flag_words = np.zeros(n // 8, np.uint64)
     flags = flag_words.view(np.uint8)
+    found = np.zeros(n + 1, np.int64)
     above = np.nextafter(threshold, np.float32(np.inf))
     drop0 = FRACTION_BITS + shifts[0]
     drop1 = FRACTION_BITS + shifts[1]
@@ -186,26 +178,21 @@ def detect_pair(
         if centre <= margin:
             continue
         _flag_maxima(best, centre, above, column, flags, n)
-        for block in range(0, flag_words.size, 8):
-            together = np.uint64(0)
-            for word in range(8):
-                together |= flag_words[np.uint64(block + word)]
-            if together == 0:
+        for i in range(_collect(flags, flag_words, found)):
+            k = found[np.uint64(i)] + 1
+            layer = 0 if dense[0, centre & 3, k] >= dense[1, centre & 3, k] else 1
+            if layer == 1 and single:
                 continue
-            for flag in range(8 * block, 8 * block + 64):
-                if flags[np.uint64(flag)] == 0:
-                    continue
-                count += _store_candidate(
-                    dense,
-                    centre,
-                    flag + 1,
-                    margin,
-                    h,
-                    w,
-                    single,
-                    count,
-                    positions,
-                    neighbours,
-                    responses,
-                )
+            x = k + margin
+            edge = margin + 1 + 3 * layer  # the filter one layer up must fit, and one pixel more
+            if centre < edge or centre >= h - edge or x < edge or x >= w - edge:
+                continue
+            target = min(count, positions.shape[0] - 1)
+            if not _store_candidate(dense, centre, k, layer, target, neighbours):
+                continue
+            positions[np.uint64(target), 0] = layer
+            positions[np.uint64(target), 1] = centre
+            positions[np.uint64(target), 2] = x
+            responses[np.uint64(target)] = dense[layer, centre & 3, k]
+            count += 1
     return count

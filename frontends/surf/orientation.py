@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontends.jit import kernel, njit
-from frontends.surf.lattice import LATTICE_LANES, LINE_LENGTH, sample_lattice
+from frontends.surf.lattice import LATTICE_LANES, LATTICE_PITCH, LINE_LENGTH, sample_lattice
 
 LINES = 17  # lattice lines: samples at -6 .. 6, wavelets reaching 2 further
 _BINS = 72  # 5 degrees each
@@ -48,21 +48,23 @@ def _responses(
     bin_of: NDArray[np.int32],
 ) -> None:
     """Weighted Haar responses of side 4s and the bins of their directions."""
+    two, four = np.uint64(2), np.uint64(4)
     for i in range(13):
-        for j in range(_LANES):
-            # quadrants of the wavelet; casts keep the arithmetic in 32-bit lanes
-            upper = np.int32(lattice[i + 2, j] - lattice[i, j])
-            lower = np.int32(lattice[i + 4, j] - lattice[i + 2, j])
-            upper_mid = np.int32(lattice[i + 2, j + 2] - lattice[i, j + 2])
-            lower_mid = np.int32(lattice[i + 4, j + 2] - lattice[i + 2, j + 2])
-            upper_end = np.int32(lattice[i + 2, j + 4] - lattice[i, j + 4])
-            lower_end = np.int32(lattice[i + 4, j + 4] - lattice[i + 2, j + 4])
-            left = np.int32(np.int32(upper_mid - upper) + np.int32(lower_mid - lower))
-            right = np.int32(np.int32(upper_end - upper_mid) + np.int32(lower_end - lower_mid))
-            top = np.int32(upper_end - upper)
-            bottom = np.int32(lower_end - lower)
-            haar[0, i, j] = weights[i, j] * np.float32(np.int32(right - left))
-            haar[1, i, j] = weights[i, j] * np.float32(np.int32(bottom - top))
+        for j in range(np.uint64(_LANES)):
+            # casts keep the arithmetic in 32-bit lanes
+            a = np.uint64(LATTICE_PITCH * i) + j
+            b = np.uint64(LATTICE_PITCH * (i + 2)) + j
+            c = np.uint64(LATTICE_PITCH * (i + 4)) + j
+            left = np.int32(lattice[c] - lattice[a])
+            middle = np.int32(lattice[c + two] - lattice[a + two])
+            right = np.int32(lattice[c + four] - lattice[a + four])
+            dx = np.int32(np.int32(left + right) - np.int32(middle << 1))
+            top = np.int32(lattice[a + four] - lattice[a])
+            middle = np.int32(lattice[b + four] - lattice[b])
+            bottom = np.int32(lattice[c + four] - lattice[c])
+            dy = np.int32(np.int32(top + bottom) - np.int32(middle << 1))
+            haar[0, i, j] = weights[i, j] * np.float32(dx)
+            haar[1, i, j] = weights[i, j] * np.float32(dy)
     for i in range(13):
         for j in range(_LANES):
             dx = haar[0, i, j]
@@ -184,7 +186,7 @@ def orient_level(
     line = np.zeros(LINE_LENGTH, np.int32)
     columns = np.zeros(LATTICE_LANES, np.uint64)
     fractions = np.zeros(LATTICE_LANES, np.int32)
-    lattice = np.zeros((LINES + 5, LATTICE_LANES + 8), np.int32)
+    lattice = np.zeros((LINES + 5) * LATTICE_PITCH, np.int32)
     haar = np.zeros((2, 13, _LANES), np.float32)
     bin_of = np.zeros((13, _LANES), np.int32)
     sums = np.zeros((2, BINS_LENGTH), np.float32)

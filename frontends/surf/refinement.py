@@ -35,7 +35,7 @@ def refine(
         Row of them.
     cube : ndarray (3, 3, 3) float32
         Scratch.
-    out : ndarray (N, 5) float32
+    out : ndarray (N, >= 5) float32
     target : int
         Row of `out` to write: x, y (pixels of this level), size (side L of the filter),
         response, trace.
@@ -107,24 +107,43 @@ def refine_all(
     lobe: int,
     positions: NDArray[np.int32],
     neighbours: NDArray[np.float32],
-    chosen: NDArray[np.int64],
+    responses: NDArray[np.float32],
+    least: np.float32,
+    above: np.float32,
+    octave: int,
     out: NDArray[np.float32],
+    first: int,
 ) -> int:
-    """Refine the candidates `chosen`, in that order; see `refine`.
+    """Refine the candidates with least <= response < above; see `refine`.
 
     Parameters
     ----------
-    out : ndarray (len(chosen), 5) float32
-        Filled from the top.
+    responses : ndarray (C,) float32
+        Of the candidates in `positions` and `neighbours`.
+    octave : int
+        The level's blocks have 2^octave x 2^octave pixels.
+    out : ndarray (N, 6) float32
+        x, y, size (pixels of the image), response, trace, octave, in the order of the candidates.
+    first : int
+        Row of `out` to begin at; as many as there are candidates must follow.
 
     Returns
     -------
     int
-        Rows of `out` filled.
+        Row after the last one filled.
     """
     cube = np.empty((3, 3, 3), np.float32)
-    kept = 0
-    for i in chosen:
+    block = np.float32(1 << octave)
+    half = np.float32(0.5)
+    kept = first
+    for i in range(responses.size):
+        if responses[i] < least or responses[i] >= above:
+            continue
         if refine(integral, lobe, positions, neighbours, i, cube, out, kept):
+            # the centre of block i is at pixel (i + 1/2) block - 1/2
+            out[kept, 0] = (out[kept, 0] + half) * block - half
+            out[kept, 1] = (out[kept, 1] + half) * block - half
+            out[kept, 2] *= block
+            out[kept, 5] = np.float32(octave)
             kept += 1
     return kept

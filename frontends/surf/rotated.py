@@ -8,7 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontends.jit import kernel, njit
-from frontends.surf.subregions import LANES, gather_bands, normalise
+from frontends.surf.subregions import (
+    FIRST_DX,
+    FIRST_DY,
+    HAAR_LENGTH,
+    LANES,
+    RESPONSES,
+    SUMS_LENGTH,
+    gather_bands,
+)
+
+_PITCH = 32  # from one row of the patch to the next
 
 
 @kernel
@@ -70,11 +80,11 @@ def describe_rotated(
         s in pixels.
     angle : float
         Radians from the x axis towards the y axis.
-    weights : ndarray (4, 24) float32
-        From `subregion_weights`.
+    weights : ndarray (36,) float32
+        From `reach_weights`.
     index, rows, pairs, patch, haar, sums : ndarray
-        Scratch: uint64 (24,), float32 (2, 24), uint32 (2, 24), float32 (21, 32),
-        float32 (2, 20, 24), float32 (4, 24).
+        Scratch: uint64 (24,), float32 (2, 24), uint32 (2, 24), float32 (32 * 21,), and that of
+        `gather_bands`.
     out : ndarray (N, 64) float32
     which : int
         Row of `out` to write.
@@ -111,15 +121,17 @@ def describe_rotated(
             d = np.float32(np.int32(pairs[1, j] >> high))
             upper = a + rows[0, j] * (b - a)
             lower = c + rows[0, j] * (d - c)
-            patch[i, j] = upper + rows[1, j] * (lower - upper)
-    for i in range(20):
-        for j in range(LANES):
-            falling = patch[i + 1, j + 1] - patch[i, j]
-            rising = patch[i + 1, j] - patch[i, j + 1]
-            haar[0, i, j] = falling - rising
-            haar[1, i, j] = falling + rising
+            patch[np.uint64(_PITCH * i + j)] = upper + rows[1, j] * (lower - upper)
+    one = np.uint64(1)
+    for i in range(RESPONSES):
+        dx, dy = np.uint64(FIRST_DX + LANES * i), np.uint64(FIRST_DY + LANES * i)
+        for j in range(np.uint64(LANES)):
+            a, b = np.uint64(_PITCH * i) + j, np.uint64(_PITCH * (i + 1)) + j
+            falling = patch[b + one] - patch[a]
+            rising = patch[b] - patch[a + one]
+            haar[dx + j] = falling - rising
+            haar[dy + j] = falling + rising
     gather_bands(haar, weights, sums, out, which)
-    normalise(out, which)
 
 
 @kernel
@@ -146,9 +158,9 @@ def describe_rotated_level(
     index = np.zeros(LANES, np.uint64)
     rows = np.zeros((2, LANES), np.float32)
     pairs = np.zeros((2, LANES), np.uint32)
-    patch = np.zeros((21, LANES + 8), np.float32)
-    haar = np.zeros((2, 20, LANES), np.float32)
-    sums = np.zeros((4, LANES), np.float32)
+    patch = np.zeros(21 * _PITCH, np.float32)
+    haar = np.zeros(HAAR_LENGTH, np.float32)
+    sums = np.zeros(SUMS_LENGTH, np.float32)
     for i in order:
         x, y, scale = float(centres[i, 0]), float(centres[i, 1]), float(scales[i])
         angle = float(angles[i])

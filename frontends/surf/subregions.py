@@ -16,9 +16,20 @@ from numpy.typing import NDArray
 from frontends.jit import njit
 
 DESCRIPTOR_SIZE = 64
-_SPACING = 5.0  # of the subregions' centres, in s
+RESPONSES = 20  # along each axis, at a pitch of s
+_SPACING = 5  # of the subregions' centres, in s
+_REACH = 9  # responses along an axis that count in a subregion
 _SIGMA = 5.0  # of the window's Gaussian, in s
-LANES = 24  # 20 responses a row, rounded up for SIMD; the weights of the last 4 are zero
+LANES = 24  # 20 responses a row, rounded up for SIMD
+_HALO = 2  # zeros before the first response along each axis: a border subregion reaches out
+_ROWS = 24
+HAAR_LENGTH = 2 * _ROWS * LANES
+SUMS_LENGTH = 16 * LANES + DESCRIPTOR_SIZE
+
+# Scratch is flat with constant offsets: with an array of two dimensions, or two arrays, the
+# compiler cannot tell that what is written is not what is read next, and gives up on SIMD.
+FIRST_DX = _HALO * LANES + _HALO
+FIRST_DY = _ROWS * LANES + FIRST_DX
 
 
 def subregion_weights(responses: int, length: int) -> NDArray[np.float32]:
@@ -42,6 +53,20 @@ def subregion_weights(responses: int, length: int) -> NDArray[np.float32]:
     return np.asarray(linear * window, np.float32)
 
 
+def reach_weights() -> NDArray[np.float32]:
+    """Weights of the 9 responses along an axis that count in each of the 4 subregions.
+
+    Returns
+    -------
+    ndarray (36,) float32
+        Subregion after subregion; the first begins 2 responses before the window, at a zero.
+    """
+    padded = np.pad(subregion_weights(RESPONSES, RESPONSES), ((0, 0), (_HALO, _HALO)))
+    return np.concatenate(
+        [row[_SPACING * i : _SPACING * i + _REACH] for i, row in enumerate(padded)]
+    )
+
+
 @njit
 def gather_bands(
     haar: NDArray[np.float32],
@@ -50,25 +75,53 @@ def gather_bands(
     out: NDArray[np.float32],
     which: int,
 ) -> None:
-    """Sum the 20 x 20 responses (2, 20, 24) into the 4 x 4 subregions of eq. 11."""
+    """Sum the 20 x 20 responses into the 4 x 4 subregions of eq. 11, and normalise.
+
+    Parameters
+    ----------
+    haar : ndarray (HAAR_LENGTH,) float32
+        dx, then dy: the response in row i, column j at ``FIRST_DX + 24 i + j`` (`FIRST_DY`), with
+        zeros in the two rows above and below.
+    weights : ndarray (36,) float32
+        From `reach_weights`.
+    sums : ndarray (SUMS_LENGTH,) float32
+        Scratch.
+    out : ndarray (N, 64) float32
+    which : int
+        Row of `out` to write.
+    """
     for band in range(4):
-        sums[:] = 0
-        first = 5 * band - 2
-        for i in range(max(first, 0), min(first + 9, 20)):
-            weight = weights[band, i]
-            for j in range(LANES):
-                dx = weight * haar[0, i, j]
-                dy = weight * haar[1, i, j]
-                sums[0, j] += dx
-                sums[1, j] += dy
-                sums[2, j] += abs(dx)
-                sums[3, j] += abs(dy)
+        first = np.uint64(_SPACING * LANES * band)
+        target = np.uint64(4 * LANES * band)
+        for j in range(np.uint64(LANES)):
+            dx = dy = abs_dx = abs_dy = np.float32(0)
+            for i in range(_REACH):
+                weight = weights[np.uint64(_REACH * band + i)]
+                x = haar[first + np.uint64(LANES * i) + j]
+                y = haar[first + np.uint64(_ROWS * LANES + LANES * i) + j]
+                dx += weight * x
+                dy += weight * y
+                abs_dx += weight * abs(x)
+                abs_dy += weight * abs(y)
+            place = target + np.uint64(4) * j
+            sums[place] = dx
+            sums[place + np.uint64(1)] = dy
+            sums[place + np.uint64(2)] = abs_dx
+            sums[place + np.uint64(3)] = abs_dy
+    total2 = np.float32(0)
+    vector = np.uint64(16 * LANES)
+    for band in range(4):
         for block in range(4):
             for kind in range(4):
                 total = np.float32(0)
-                for j in range(LANES):
-                    total += weights[block, j] * sums[kind, j]
-                out[which, 16 * band + 4 * block + kind] = total
+                for j in range(_REACH):
+                    place = 4 * LANES * band + 4 * (_SPACING * block + j) + kind
+                    total += weights[np.uint64(_REACH * block + j)] * sums[np.uint64(place)]
+                sums[vector + np.uint64(16 * band + 4 * block + kind)] = total
+                total2 += total * total
+    scale = np.float32(1) / np.float32(math.sqrt(total2)) if total2 > 0 else np.float32(0)
+    for k in range(np.uint64(DESCRIPTOR_SIZE)):
+        out[which, k] = scale * sums[vector + k]
 
 
 @njit

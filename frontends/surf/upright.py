@@ -6,8 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontends.jit import kernel, njit
-from frontends.surf.lattice import LATTICE_LANES, LINE_LENGTH, sample_lattice
-from frontends.surf.subregions import LANES, gather_bands, normalise
+from frontends.surf.lattice import LATTICE_LANES, LATTICE_PITCH, LINE_LENGTH, sample_lattice
+from frontends.surf.subregions import (
+    FIRST_DX,
+    FIRST_DY,
+    HAAR_LENGTH,
+    LANES,
+    RESPONSES,
+    SUMS_LENGTH,
+    gather_bands,
+)
 
 LINES = 22  # of the lattice
 
@@ -38,34 +46,34 @@ def describe_upright(
         Centre, in pixel edges of the padded image.
     scale : float
         s in pixels.
-    weights : ndarray (4, 24) float32
-        From `subregion_weights`.
+    weights : ndarray (36,) float32
+        From `reach_weights`.
     line, columns, fractions, lattice : ndarray
-        Scratch of `sample_lattice`, the lattice (22, 32).
+        Scratch of `sample_lattice`.
     haar, sums : ndarray
-        Scratch: float32 (2, 20, 24), float32 (4, 24).
+        Scratch of `gather_bands`.
     out : ndarray (N, 64) float32
     which : int
         Row of `out` to write.
     """
     sample_lattice(integral, x, y, scale, LINES, line, columns, fractions, lattice)
-    for i in range(20):
-        for j in range(LANES):
-            # quadrants of the wavelet; casts keep the arithmetic in 32-bit lanes
-            upper = np.int32(lattice[i + 1, j] - lattice[i, j])
-            lower = np.int32(lattice[i + 2, j] - lattice[i + 1, j])
-            upper_mid = np.int32(lattice[i + 1, j + 1] - lattice[i, j + 1])
-            lower_mid = np.int32(lattice[i + 2, j + 1] - lattice[i + 1, j + 1])
-            upper_end = np.int32(lattice[i + 1, j + 2] - lattice[i, j + 2])
-            lower_end = np.int32(lattice[i + 2, j + 2] - lattice[i + 1, j + 2])
-            left = np.int32(np.int32(upper_mid - upper) + np.int32(lower_mid - lower))
-            right = np.int32(np.int32(upper_end - upper_mid) + np.int32(lower_end - lower_mid))
-            top = np.int32(upper_end - upper)
-            bottom = np.int32(lower_end - lower)
-            haar[0, i, j] = np.float32(np.int32(right - left))
-            haar[1, i, j] = np.float32(np.int32(bottom - top))
+    one, two = np.uint64(1), np.uint64(2)
+    for i in range(RESPONSES):
+        dx, dy = np.uint64(FIRST_DX + LANES * i), np.uint64(FIRST_DY + LANES * i)
+        for j in range(np.uint64(LANES)):
+            # casts keep the arithmetic in 32-bit lanes
+            a = np.uint64(LATTICE_PITCH * i) + j
+            b = np.uint64(LATTICE_PITCH * (i + 1)) + j
+            c = np.uint64(LATTICE_PITCH * (i + 2)) + j
+            left = np.int32(lattice[c] - lattice[a])
+            middle = np.int32(lattice[c + one] - lattice[a + one])
+            right = np.int32(lattice[c + two] - lattice[a + two])
+            haar[dx + j] = np.float32(np.int32(np.int32(left + right) - np.int32(middle << 1)))
+            top = np.int32(lattice[a + two] - lattice[a])
+            middle = np.int32(lattice[b + two] - lattice[b])
+            bottom = np.int32(lattice[c + two] - lattice[c])
+            haar[dy + j] = np.float32(np.int32(np.int32(top + bottom) - np.int32(middle << 1)))
     gather_bands(haar, weights, sums, out, which)
-    normalise(out, which)
 
 
 @kernel
@@ -89,16 +97,16 @@ def describe_upright_level(
         s in pixels of the level.
     order : ndarray (M,) int64
         Which keypoints, in the order to visit them.
-    weights : ndarray (4, 24) float32
-        From `subregion_weights`.
+    weights : ndarray (36,) float32
+        From `reach_weights`.
     out : ndarray (N, 64) float32
     """
     line = np.zeros(LINE_LENGTH, np.int32)
     columns = np.zeros(LATTICE_LANES, np.uint64)
     fractions = np.zeros(LATTICE_LANES, np.int32)
-    lattice = np.zeros((LINES, LATTICE_LANES + 8), np.int32)
-    haar = np.zeros((2, 20, LANES), np.float32)
-    sums = np.zeros((4, LANES), np.float32)
+    lattice = np.zeros(LINES * LATTICE_PITCH, np.int32)
+    haar = np.zeros(HAAR_LENGTH, np.float32)
+    sums = np.zeros(SUMS_LENGTH, np.float32)
     for i in order:
         x, y, scale = float(centres[i, 0]), float(centres[i, 1]), float(scales[i])
         describe_upright(

@@ -28,13 +28,14 @@ _COMMON: _Kernels = (
     ),
     (
         refine_all,
-        "int64(int32[:,::1], int64, int32[:,::1], float32[:,::1], int64[::1], float32[:,::1])",
+        "int64(int32[:,::1], int64, int32[:,::1], float32[:,::1], float32[::1], float32, float32,"
+        " int64, float32[:,::1], int64)",
     ),
 )
 _UPRIGHT: _Kernels = (
     (
         describe_upright_level,
-        "void(int32[:,::1], float32[:,::1], float32[::1], int64[::1], float32[:,::1],"
+        "void(int32[:,::1], float32[:,::1], float32[::1], int64[::1], float32[::1],"
         " float32[:,::1])",
     ),
 )
@@ -50,7 +51,7 @@ _ROTATED: _Kernels = (
     (
         describe_rotated_level,
         "void(uint32[:,::1], float32[:,::1], float32[::1], int64[::1], float32[::1],"
-        " float32[:,::1], float32[:,::1])",
+        " float32[::1], float32[:,::1])",
     ),
 )
 _ACCURATE: _Kernels = (

@@ -65,7 +65,7 @@ def test_brightness_and_contrast(seed: int, gain: float, offset: float) -> None:
     a, b, pairs = _matched((image * 0.8).astype(np.uint8), darker)
     right = _correct(a, b, pairs, similarity(1, 0, image.shape), 0.5)
     assert right.sum() >= 0.75 * min(len(a), len(b))
-    assert right.mean() >= 0.98
+    assert right.mean() >= 0.97
 
 
 @pytest.mark.parametrize("upright", [False, True])
