@@ -73,7 +73,7 @@ def _collect(flags: NDArray[np.uint8], words: NDArray[np.uint64], found: NDArray
                 continue
             for flag in range(8 * word, 8 * word + 8):
                 found[np.uint64(count)] = flag
-                count += np.int64(flags[np.uint64(flag)])
+                count += int(flags[np.uint64(flag)])
     return count
 
 

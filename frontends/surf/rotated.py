@@ -126,9 +126,10 @@ def describe_rotated(
     for i in range(RESPONSES):
         dx, dy = np.uint64(FIRST_DX + LANES * i), np.uint64(FIRST_DY + LANES * i)
         for j in range(np.uint64(LANES)):
-            a, b = np.uint64(_PITCH * i) + j, np.uint64(_PITCH * (i + 1)) + j
-            falling = patch[b + one] - patch[a]
-            rising = patch[b] - patch[a + one]
+            here = np.uint64(_PITCH * i) + j
+            below_it = np.uint64(_PITCH * (i + 1)) + j
+            falling = patch[below_it + one] - patch[here]
+            rising = patch[below_it] - patch[here + one]
             haar[dx + j] = falling - rising
             haar[dy + j] = falling + rising
     gather_bands(haar, weights, sums, out, which)
