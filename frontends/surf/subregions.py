@@ -115,8 +115,8 @@ def gather_bands(
             for kind in range(4):
                 total = np.float32(0)
                 for j in range(_REACH):
-                    place = 4 * LANES * band + 4 * (_SPACING * block + j) + kind
-                    total += weights[np.uint64(_REACH * block + j)] * sums[np.uint64(place)]
+                    source = 4 * LANES * band + 4 * (_SPACING * block + j) + kind
+                    total += weights[np.uint64(_REACH * block + j)] * sums[np.uint64(source)]
                 sums[vector + np.uint64(16 * band + 4 * block + kind)] = total
                 total2 += total * total
     scale = np.float32(1) / np.float32(math.sqrt(total2)) if total2 > 0 else np.float32(0)
