@@ -14,6 +14,7 @@ from lunar_fg.commands.demo import demo
 from lunar_fg.commands.evaluate import evaluate
 from lunar_fg.commands.geo import geo
 from lunar_fg.commands.match import match
+from lunar_fg.commands.mosaic import mosaic
 from lunar_fg.commands.optimize import optimize
 from lunar_fg.commands.run import run
 from lunar_fg.commands.shared import err, guarded, out
@@ -51,6 +52,7 @@ app.command()(guarded(warmup))
 app.command()(guarded(match))
 app.command()(guarded(campaign))
 app.command()(guarded(geo))
+app.command()(guarded(mosaic))
 
 if __name__ == "__main__":
     app()

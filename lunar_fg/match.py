@@ -3,28 +3,42 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binom
 
+from frontends.camera import StereoCamera
+from frontends.detector import Descriptors
 from frontends.errors import InputError
-from frontends.matching import find_homography, find_similarity, match_descriptors
-from frontends.measurements import Image, Verdict
-from frontends.surf import SURF, warmup
+from frontends.matching import (
+    EpipolarGeometry,
+    ImageTransform,
+    find_fundamental,
+    find_homography,
+    find_similarity,
+    match_descriptors,
+)
+from frontends.matching.chance import agreement, line_chance
+from frontends.measurements import Image, StereoFrame, Verdict
+from frontends.stereo import StereoConfig, StereoPerception
+from frontends.surf import SURF, Keypoints, warmup
+from lunar_fg.pictures import Picture
 
 FloatArray = NDArray[np.float64]
+Features = tuple[Keypoints, Descriptors]
 
 #: Largest transfer or epipolar error of an inlier, px.
 THRESHOLD_PX = 2.0
 #: Lines drawn at most; more hide the images.
 _MAX_LINES = 150
-#: Free parameters of a fundamental matrix: as many matches fit it whatever they are.
-_EPIPOLAR_SAMPLE = 8
+#: Coefficients of the vertical field of a rectified pair.
+_FIELD_TERMS = 6
+#: Ratio of a normal distribution's median absolute value to its sigma.
+_MEDIAN_OF_SIGMA = 0.6745
 
 
 class MatchModel(StrEnum):
@@ -33,6 +47,14 @@ class MatchModel(StrEnum):
     HOMOGRAPHY = "homography"
     SIMILARITY = "similarity"
     STEREO = "stereo"
+    FUNDAMENTAL = "fundamental"
+
+
+_FITS: dict[MatchModel, Callable[..., ImageTransform | EpipolarGeometry]] = {
+    MatchModel.HOMOGRAPHY: find_homography,
+    MatchModel.SIMILARITY: find_similarity,
+    MatchModel.FUNDAMENTAL: find_fundamental,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,35 +65,49 @@ class MatchResult:
     ----------
     keypoints
         Of the first and the second image.
+    matches
+        Pairs of nearest descriptors; of a stereo pair those in the epipolar band.
     first_xy, second_xy
-        (M, 2) matched pixels.
-    inlier
-        (M,) which agree with the model.
+        (N, 2) pixels of the matches that agree with the model; empty when refused.
     error_px
-        Median error of the inliers, px; NaN when refused.
+        Their median error, px; NaN when refused.
     seconds
-        Wall time of detection, matching and RANSAC.
-    verdict, reason
-        Refused when chance alone explains the inliers.
+        Wall time of detection, matching and the fit.
+    reason
+        Why the images are refused (chance alone explains the inliers); empty otherwise.
     """
 
     keypoints: tuple[int, int]
+    matches: int
     first_xy: FloatArray
     second_xy: FloatArray
-    inlier: NDArray[np.bool_]
     error_px: float
     seconds: float
-    verdict: Verdict
-    reason: str
+    reason: str = ""
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether the images match."""
+        return Verdict.REFUSED if self.reason else Verdict.ACCEPTED
+
+    @property
+    def inliers(self) -> int:
+        """Matches that agree with the model."""
+        return len(self.first_xy)
+
+    @property
+    def rejected_share(self) -> float:
+        """Share of the matches that the model rejects."""
+        return 1.0 - self.inliers / self.matches if self.matches else 1.0
 
     def as_dict(self) -> dict[str, object]:
         """Return the figures by name, for JSON."""
         refused = self.verdict is Verdict.REFUSED
         return {
             "keypoints": list(self.keypoints),
-            "matches": len(self.inlier),
-            "inliers": int(self.inlier.sum()),
-            "rejected_share": None if refused else float(1.0 - self.inlier.mean()),
+            "matches": self.matches,
+            "inliers": self.inliers,
+            "rejected_share": None if refused else self.rejected_share,
             "error_px": None if refused else self.error_px,
             "seconds": self.seconds,
             "verdict": str(self.verdict),
@@ -82,90 +118,118 @@ class MatchResult:
 def match_images(
     first: Image, second: Image, model: MatchModel, *, max_keypoints: int = 5000, seed: int = 0
 ) -> MatchResult:
-    """Match two grey images; upright features for a stereo pair, oriented otherwise."""
+    """Match two grey images; upright features for a stereo pair, oriented otherwise.
+
+    Parameters
+    ----------
+    first, second
+        (H, W) uint8; left and right of equal size for a stereo pair.
+    model
+        What relates them.
+    max_keypoints
+        Strongest keypoints kept in each image.
+    seed
+        Of RANSAC.
+
+    Raises
+    ------
+    InputError
+        When a stereo pair is not of one size, or left and right look swapped.
+    """
     warmup()
     start = time.perf_counter()
     surf = SURF(20.0, upright=model is MatchModel.STEREO, max_keypoints=max_keypoints)
-    a, a_descriptors = surf.detectAndCompute(first)
-    b, b_descriptors = surf.detectAndCompute(second)
-    pairs = match_descriptors(a_descriptors, b_descriptors)
-    first_xy = a.xy[pairs.query].astype(np.float64)
-    second_xy = b.xy[pairs.train].astype(np.float64)
+    a, b = surf.detectAndCompute(first), surf.detectAndCompute(second)
+    pairs = match_descriptors(a[1], b[1])
+    first_xy = a[0].xy[pairs.query].astype(np.float64)
+    second_xy = b[0].xy[pairs.train].astype(np.float64)
+    matches = len(pairs)
     if model is MatchModel.STEREO:
-        inlier, error, reason = _epipolar(first_xy, second_xy, second.shape[0], seed)
-    else:
-        find = find_homography if model is MatchModel.HOMOGRAPHY else find_similarity
-        found = find(first_xy, second_xy, threshold_px=THRESHOLD_PX, seed=seed)
-        inlier, error, reason = found.inlier, found.error_px, found.reason
-    return MatchResult(
-        (len(a), len(b)),
-        first_xy,
-        second_xy,
-        inlier,
-        error,
-        time.perf_counter() - start,
-        Verdict.REFUSED if reason else Verdict.ACCEPTED,
-        reason,
-    )
-
-
-def draw(first: Image, second: Image, result: MatchResult) -> NDArray[np.uint8]:
-    """Both images side by side, a line for each inlier (evenly thinned to 150); BGR."""
-    height = max(first.shape[0], second.shape[0])
-    shift = first.shape[1]
-    canvas = np.zeros((height, shift + second.shape[1], 3), np.uint8)
-    canvas[: first.shape[0], :shift] = first[..., None]
-    canvas[: second.shape[0], shift:] = second[..., None]
-    ends = np.rint(
-        np.hstack([result.first_xy, result.second_xy + np.array([shift, 0])])[result.inlier]
-    )
-    ends = ends[:: max(1, -(-len(ends) // _MAX_LINES))]
-    for k, (x, y, u, v) in enumerate(ends.astype(int).tolist()):
-        colour = ((80, 220, 80), (80, 200, 255), (255, 180, 60))[k % 3]
-        cv2.line(canvas, (x, y), (u, v), colour, 1, cv2.LINE_AA)
-    return canvas
-
-
-def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:
-    """Write a picture; the suffix names the format."""
-    try:
-        written = cv2.imwrite(str(path), picture)
-    except cv2.error:
-        written = False
-    if not written:
-        raise InputError(
-            "cannot be written", source=path, remedy="name an existing folder and a .png file"
+        matches, first_xy, second_xy, error, reason = _stereo(
+            (first, second), (a, b), (first_xy, second_xy)
         )
+    else:
+        found = _FITS[model](first_xy, second_xy, threshold_px=THRESHOLD_PX, seed=seed)
+        first_xy, second_xy = first_xy[found.inlier], second_xy[found.inlier]
+        error, reason = found.error_px, found.reason
+    seconds = time.perf_counter() - start
+    keypoints = (len(a[0]), len(b[0]))
+    return MatchResult(keypoints, matches, first_xy, second_xy, error, seconds, reason)
 
 
-def _epipolar(
-    first_xy: FloatArray, second_xy: FloatArray, height: int, seed: int
-) -> tuple[NDArray[np.bool_], float, str]:
-    """Inliers of a fundamental matrix, their median error, why it is refused.
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """A detector that hands out what was found in two images before."""
 
-    A wrong match falls into the band of its epipolar line with probability
-    ``2 t / height``; besides the sample, more inliers are asked for than the binomial
-    distribution allows at 1e-10, since RANSAC picks the best of 10^4 trials.
+    images: tuple[Image, Image]
+    features: tuple[Features, Features]
+
+    def detectAndCompute(self, image: Image, mask: NDArray[np.uint8] | None = None) -> Features:
+        return self.features[0 if image is self.images[0] else 1]
+
+
+def _stereo(
+    images: tuple[Image, Image],
+    features: tuple[Features, Features],
+    matched: tuple[FloatArray, FloatArray],
+) -> tuple[int, FloatArray, FloatArray, float, str]:
+    """Matches in the band, those triangulated (left and right), median error, reason.
+
+    Perception measures the vertical field; whether that is more than chance is told by the
+    matches found without it, of which the field's rows must hold enough.
     """
-    count = len(first_xy)
-    nothing = np.zeros(count, dtype=np.bool_)
-    if count < _EPIPOLAR_SAMPLE:
-        return nothing, float("nan"), f"{count} matches, epipolar geometry needs 8"
-    cv2.setRNGSeed(seed)
-    matrix, _ = cv2.findFundamentalMat(
-        first_xy, second_xy, cv2.USAC_MAGSAC, THRESHOLD_PX, 0.9999, 10_000
+    if images[0].shape != images[1].shape:
+        sizes = " and ".join(f"{w}x{h}" for h, w in (image.shape for image in images))
+        raise InputError(
+            f"images are {sizes} px", source="stereo pair", remedy="give a rectified pair"
+        )
+    height, width = images[0].shape
+    # a nominal camera: pixels are all that is asked for, and disparities up to half the width
+    camera = StereoCamera(width, height, width, width, (width - 1) / 2, (height - 1) / 2, 1.0)
+    config = StereoConfig(max_depth_sigma=1.0)
+    perception = StereoPerception(camera, config, _Found(images, features))
+    perceived = perception.perceive(StereoFrame(0, 0.0, *images, camera))
+    field = perception.rectification
+    left, right = matched
+    residual = left[:, 1] - right[:, 1] - field.vertical_at(camera, left[:, 0], left[:, 1])
+    in_band = np.abs(residual) <= config.band_px
+    weighed = agreement(left, right, in_band, _FIELD_TERMS, line_chance(right, config.band_px))
+    nothing = np.zeros((0, 2))
+    if weighed.reason or not perception.vertical_measured:
+        reason = weighed.reason or "too few matches in equal rows"
+        return perceived.matches, nothing, nothing, float("nan"), f"not a stereo pair: {reason}"
+    seen = perceived.observations
+    vertical = field.vertical_at(camera, seen.u_left, seen.v)
+    error = _MEDIAN_OF_SIGMA * perceived.epipolar_sigma_px
+    if not np.isfinite(error):
+        error = float(np.median(np.abs(residual[in_band])))
+    return (
+        perceived.matches,
+        np.column_stack([seen.u_left, seen.v]),
+        np.column_stack([seen.u_right, seen.v - vertical]),
+        error,
+        "",
     )
-    if matrix is None or matrix.shape != (3, 3):
-        return nothing, float("nan"), "no epipolar geometry fits the matches"
-    a, b = (np.column_stack([xy, np.ones(count)]) for xy in (first_xy, second_xy))
-    lines, back = a @ matrix.T, b @ matrix
-    algebraic = np.abs(np.sum(b * lines, axis=1))
-    slope = np.minimum(np.hypot(*lines[:, :2].T), np.hypot(*back[:, :2].T))
-    error = algebraic / np.maximum(slope, 1e-12)
-    inlier = error <= THRESHOLD_PX
-    chance = min(1.0, 2.0 * THRESHOLD_PX / height)
-    needed = 2 * _EPIPOLAR_SAMPLE + int(binom.isf(1e-10, count, chance)) + 1
-    if inlier.sum() < needed:
-        reason = f"{inlier.sum()} inliers of {count} matches, {needed} are needed"
-        return nothing, float("nan"), reason
-    return inlier, float(np.median(error[inlier])), ""
+
+
+def draw(pictures: Sequence[Picture], result: MatchResult) -> Picture:
+    """Both pictures side by side, a line for each inlier (evenly thinned to 150); BGR.
+
+    The hue goes with the position in the first picture, so that crossing lines show.
+    """
+    first, second = pictures
+    shift = first.shape[1]
+    canvas = np.zeros((max(len(first), len(second)), shift + second.shape[1], 3), np.uint8)
+    canvas[: len(first), :shift] = first
+    canvas[: len(second), shift:] = second
+    ends = np.rint(np.hstack([result.first_xy, result.second_xy + np.array([shift, 0])]))
+    ends = ends[np.argsort(result.first_xy[:, 1], kind="stable")]
+    ends = ends[:: max(1, -(-len(ends) // _MAX_LINES))]
+    hues = np.linspace(0, 150, len(ends)).astype(np.uint8)
+    hsv = np.stack([hues, np.full_like(hues, 200), np.full_like(hues, 255)], axis=-1)
+    colours = cv2.cvtColor(hsv[None], cv2.COLOR_HSV2BGR)[0] if len(ends) else hsv
+    for (x, y, u, v), colour in zip(ends.astype(int).tolist(), colours.tolist(), strict=True):
+        cv2.line(canvas, (x, y), (u, v), colour, 1, cv2.LINE_AA)
+        for end in ((x, y), (u, v)):
+            cv2.circle(canvas, end, 4, colour, 1, cv2.LINE_AA)
+    return canvas

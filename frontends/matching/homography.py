@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontends.errors import InputError
+from frontends.matching.chance import agreement, point_chance
 from frontends.measurements import Verdict
 
 FloatArray = NDArray[np.float64]
 
 #: SURF does not match over larger changes of scale or stretch than 1 to 20.
 _LEAST_SCALE = 0.05
-#: Features closer than this are one place.
-_PLACE_PX = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +65,7 @@ def find_homography(
     ImageTransform
         Refused unless the inliers are more than chance would give.
     """
-    _check(first_xy, second_xy)
+    check_points(first_xy, second_xy)
     if len(first_xy) < 4:
         return _refused(len(first_xy), f"{len(first_xy)} matches, a homography needs 4")
     params = cv2.UsacParams()
@@ -92,7 +91,7 @@ def find_similarity(
 
     Parameters and result as `find_homography`.
     """
-    _check(first_xy, second_xy)
+    check_points(first_xy, second_xy)
     if len(first_xy) < 2:
         return _refused(len(first_xy), f"{len(first_xy)} matches, a similarity needs 2")
     cv2.setRNGSeed(seed)
@@ -115,7 +114,8 @@ def find_similarity(
     )
 
 
-def _check(first_xy: FloatArray, second_xy: FloatArray) -> None:
+def check_points(first_xy: FloatArray, second_xy: FloatArray) -> None:
+    """Refuse matched points that are not two finite (M, 2) arrays, with an `InputError`."""
     if first_xy.shape != second_xy.shape or first_xy.ndim != 2 or first_xy.shape[1] != 2:
         raise InputError(
             f"matched points have shapes {first_xy.shape} and {second_xy.shape}, "
@@ -139,31 +139,18 @@ def _judge(
     threshold_px: float,
     minimal: int,
 ) -> ImageTransform:
-    """Count the inliers and refuse what unrelated images could also reach.
-
-    A wrong match falls within the threshold of any transform with probability
-    ``p = pi t^2 / area``; besides the minimal sample, more inliers than the binomial
-    distribution allows at 1e-6 after 10^4 trials are asked for, and never less than
-    twice the sample.
-    """
+    """Count the inliers and refuse what unrelated images could also reach."""
     homogeneous = np.column_stack([first_xy, np.ones(len(first_xy))]) @ matrix.T
     safe = np.abs(homogeneous[:, 2]) > 1e-12
     mapped = homogeneous[:, :2] / np.where(safe, homogeneous[:, 2], 1.0)[:, None]
     error = np.where(safe, np.hypot(*(mapped - second_xy).T), np.inf)
     inlier = error <= threshold_px
-    extent = np.maximum(np.ptp(second_xy, axis=0), 1.0)
-    chance = min(1.0, np.pi * threshold_px**2 / float(extent[0] * extent[1]))
-    needed = max(3 * minimal, minimal + _binomial_bound(len(first_xy), chance))
-    # many features of one image on a single place of the other are one inlier, not many
-    cell_px = min(2.0 * threshold_px, _PLACE_PX)
-    places = np.unique(np.round(second_xy[inlier] / cell_px), axis=0)
-    count = min(int(inlier.sum()), len(places))
+    chance = point_chance(second_xy, threshold_px)
+    weighed = agreement(first_xy, second_xy, inlier, minimal, chance)
+    if weighed.reason:
+        return _refused(len(first_xy), weighed.reason)
     if _collapses(first_xy[inlier], matrix):
         return _refused(len(first_xy), "the transform that fits collapses the image")
-    if count < needed:
-        return _refused(
-            len(first_xy), f"{count} inliers of {len(first_xy)} matches, {needed} are needed"
-        )
     return ImageTransform(matrix, inlier, float(np.median(error[inlier])), Verdict.ACCEPTED)
 
 
@@ -179,9 +166,3 @@ def _collapses(first_xy: FloatArray, matrix: FloatArray) -> bool:
     jacobian = (matrix[:2, :2] - np.outer(mapped, matrix[2, :2])) / w
     largest, smallest = np.linalg.svd(jacobian, compute_uv=False)
     return bool(smallest < _LEAST_SCALE or smallest < _LEAST_SCALE * largest)
-
-
-def _binomial_bound(count: int, probability: float) -> int:
-    from scipy.stats import binom
-
-    return int(binom.isf(1e-10, count, probability)) + 1

@@ -11,19 +11,26 @@ import typer
 
 from frontends.errors import InputError
 from lunar_fg.commands.shared import out
-from lunar_fg.datasets.images import read_grey
-from lunar_fg.match import MatchModel, draw, match_images, write_picture
+from lunar_fg.match import MatchModel, draw, match_images
+from lunar_fg.pictures import grey, read_picture, write_picture
 
 
 def match(
-    first: Annotated[Path, typer.Argument(help="Image A: PNG, JPEG, PGM or PPM.")],
+    first: Annotated[
+        Path, typer.Argument(help="Image A: PNG, JPEG, or what GDAL reads (PDS .img, GeoTIFF).")
+    ],
     second: Annotated[Path, typer.Argument(help="Image B.")],
     homography: Annotated[
         bool, typer.Option("--homography", help="A plane, or a turn on the spot (default).")
     ] = False,
-    stereo: Annotated[bool, typer.Option("--stereo", help="A stereo pair, upright.")] = False,
+    stereo: Annotated[
+        bool, typer.Option("--stereo", help="A rectified pair, left then right, upright.")
+    ] = False,
     similarity: Annotated[
         bool, typer.Option("--similarity", help="Turn, shift and scale, as between maps.")
+    ] = False,
+    fundamental: Annotated[
+        bool, typer.Option("--fundamental", help="Two views of a scene with depth.")
     ] = False,
     picture: Annotated[
         Path | None, typer.Option("--output", "-o", help="Picture of the matches to write.")
@@ -34,29 +41,33 @@ def match(
 
     Example: lunar-fg match left.png right.png --stereo -o matches.png
     """
-    if homography + stereo + similarity > 1:
-        raise InputError("only one of --homography, --stereo, --similarity", source="match")
-    model = MatchModel.HOMOGRAPHY
-    if stereo or similarity:
-        model = MatchModel.STEREO if stereo else MatchModel.SIMILARITY
-    a, b = read_grey(first, 65535), read_grey(second, 65535)
-    result = match_images(a, b, model)
+    asked = {
+        MatchModel.HOMOGRAPHY: homography,
+        MatchModel.STEREO: stereo,
+        MatchModel.SIMILARITY: similarity,
+        MatchModel.FUNDAMENTAL: fundamental,
+    }
+    models = [model for model, chosen in asked.items() if chosen] or [MatchModel.HOMOGRAPHY]
+    if len(models) > 1:
+        options = ", ".join(f"--{model}" for model in asked)
+        raise InputError(f"only one of {options}", source="match")
+    pictures = [read_picture(path) for path in (first, second)]
+    result = match_images(grey(pictures[0]), grey(pictures[1]), models[0])
     if picture is not None:
-        write_picture(picture, draw(a, b, result))
+        write_picture(picture, draw(pictures, result))
     if json:
         sys.stdout.write(dumps(result.as_dict()) + "\n")
     else:
         out.print(
             f"{result.keypoints[0]} and {result.keypoints[1]} keypoints, "
-            f"{len(result.inlier)} matches, {result.inlier.sum()} inliers, "
-            f"{result.seconds:.2f} s",
+            f"{result.matches} matches, {result.inliers} inliers, {result.seconds:.2f} s",
             markup=False,
         )
         if result.reason:
             out.print(f"refused: {result.reason}", markup=False)
         else:
             out.print(
-                f"{1.0 - result.inlier.mean():.1%} of the matches wrong, "
+                f"{result.rejected_share:.1%} of the matches rejected, "
                 f"median error of the rest {result.error_px:.2f} px",
                 markup=False,
             )

@@ -77,7 +77,7 @@ def test_one_place_that_attracts_many_matches_is_no_transform(find):
 
 
 @pytest.mark.parametrize("find", [find_homography, find_similarity])
-@pytest.mark.parametrize("count", [0, 1, 3, 5])
+@pytest.mark.parametrize("count", [0, 1, 3])
 def test_few_matches_are_refused_with_a_reason(find, count):
     first, second, _ = matched(TRUE_SIMILARITY, 0, count=count, wrong_share=0.0)
     found = find(first.reshape(-1, 2), second.reshape(-1, 2))
