@@ -18,6 +18,8 @@ _detail: Any = cv2.detail
 
 #: Exposure and seams are found on images reduced to about this many pixels.
 _SEAM_PIXELS = 100_000
+#: One round holds gains to 1 too much to level images that differ by half; a few do.
+_EXPOSURE_ROUNDS = 5
 #: Pixels this dark that touch the border are filling, not image.
 _FILLING_LEVEL = 4
 #: The outermost rows and columns of a detector often saturate.
@@ -55,7 +57,8 @@ def blend(
     small_masks = [_resized(mask, scale, cv2.INTER_NEAREST) for mask in masks]
     small_corners = [(round(x * scale), round(y * scale)) for x, y in corners]
 
-    exposure = _detail.BlocksGainCompensator()
+    exposure = _detail.GainCompensator()
+    exposure.setNrFeeds(_EXPOSURE_ROUNDS)
     exposure.feed(small_corners, small, small_masks)
     levelled = [
         np.asarray(exposure.apply(k, corners[k], image, masks[k]), np.uint8)
