@@ -91,7 +91,12 @@ class Trial:
     @property
     def group(self) -> str:
         """What it varies, as text; trials that differ by the seed alone share it."""
-        return ", ".join(f"{key} {_text(value)}" for key, value in self.varied.items()) or "all"
+        last = [key.rsplit(".", 1)[-1] for key in self.varied]
+        names = last if len(set(last)) == len(last) else list(self.varied)
+        values = map(_text, self.varied.values())
+        return (
+            ", ".join(f"{key} {value}" for key, value in zip(names, values, strict=True)) or "all"
+        )
 
 
 class Study(BaseModel):

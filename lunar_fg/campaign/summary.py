@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import html
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -95,8 +97,9 @@ def _plot(groups: Sequence[Group], figure: str, title: str) -> go.Figure:
         values = [getattr(outcome, figure) for outcome in group.outcomes]
         plot.add_trace(
             go.Box(
-                y=values,
-                name=group.name,
+                x=values,
+                name="<br>".join(textwrap.wrap(html.escape(group.name), 34)),
+                orientation="h",
                 boxpoints="all",
                 pointpos=0,
                 jitter=0.4,
@@ -104,5 +107,11 @@ def _plot(groups: Sequence[Group], figure: str, title: str) -> go.Figure:
                 showlegend=False,
             )
         )
-    plot.update_layout(title=title, margin={"l": 50, "r": 20, "t": 40, "b": 40}, height=340)
+    plot.update_layout(
+        title=title,
+        margin={"l": 10, "r": 20, "t": 40, "b": 30},
+        height=110 + 48 * len(groups),
+        template="plotly_white",
+        yaxis={"autorange": "reversed", "automargin": True},
+    )
     return plot

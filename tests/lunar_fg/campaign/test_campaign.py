@@ -106,7 +106,7 @@ def test_results_table_and_page(tmp_path):
     assert all(0.0 < error < 0.2 for error in table.column("final_error_m").to_pylist())
     assert all(0.0 <= share <= 1.0 for share in table.column("coverage").to_pylist())
     page = results.page_path.read_text()
-    assert "measurements.bad_share 0.1" in page
+    assert "bad_share 0.1" in page
     assert 'src="http' not in page
     assert [len(group.outcomes) for group in groups_of(outcomes)] == [2, 2]
 
