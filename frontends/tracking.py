@@ -53,8 +53,18 @@ class TrackingConfig:
 
 
 @dataclass(frozen=True, slots=True)
-class _Memory:
-    """Landmarks that may be seen again, in the left-camera axes of the newest frame."""
+class LandmarkMemory:
+    """Landmarks that may be seen again, in the left-camera axes of the newest frame.
+
+    Attributes
+    ----------
+    landmark_id, descriptors, laplacian
+        (N,), (N, D), (N,): as in `StereoFeatures`.
+    points, covariance
+        (N, 3) m, (N, 3, 3) m^2.
+    unseen
+        (N,) frames since each was last seen.
+    """
 
     landmark_id: NDArray[np.int64]
     descriptors: NDArray[np.float32]
@@ -66,8 +76,9 @@ class _Memory:
     def __len__(self) -> int:
         return len(self.landmark_id)
 
-    def select(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> _Memory:
-        return _Memory(
+    def select(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> LandmarkMemory:
+        """The landmarks at a mask or an index array."""
+        return LandmarkMemory(
             self.landmark_id[keep],
             self.descriptors[keep],
             self.laplacian[keep],
@@ -76,8 +87,9 @@ class _Memory:
             self.unseen[keep],
         )
 
-    def joined(self, other: _Memory) -> _Memory:
-        return _Memory(
+    def joined(self, other: LandmarkMemory) -> LandmarkMemory:
+        """These landmarks and those."""
+        return LandmarkMemory(
             np.concatenate([self.landmark_id, other.landmark_id]),
             np.concatenate([self.descriptors, other.descriptors]),
             np.concatenate([self.laplacian, other.laplacian]),
@@ -124,8 +136,17 @@ class LandmarkTracker:
     def __init__(self, camera: StereoCamera, config: TrackingConfig | None = None) -> None:
         self.camera = camera
         self.config = config or TrackingConfig()
-        self._memory: _Memory | None = None
+        self._memory: LandmarkMemory | None = None
         self._next_id = 0
+
+    @property
+    def state(self) -> tuple[LandmarkMemory | None, int]:
+        """What is remembered, and the next new landmark's id: all that `restore` needs."""
+        return self._memory, self._next_id
+
+    def restore(self, memory: LandmarkMemory | None, next_id: int) -> None:
+        """Go on from the `state` of another tracker."""
+        self._memory, self._next_id = memory, next_id
 
     def associate(
         self, features: StereoFeatures, prediction: MotionPrediction, *, wide: bool = False
@@ -201,7 +222,7 @@ class LandmarkTracker:
         ids[new] = self._next_id + np.arange(int(new.sum()))
         self._next_id += int(new.sum())
         seen = features.observations
-        current = _Memory(
+        current = LandmarkMemory(
             ids,
             features.descriptors,
             features.laplacian,
@@ -237,7 +258,7 @@ class LandmarkTracker:
         )
 
     def _as_tracked(
-        self, seen: StereoObservations, landmarks: _Memory, size_px: FloatArray
+        self, seen: StereoObservations, landmarks: LandmarkMemory, size_px: FloatArray
     ) -> StereoObservations:
         """Observations with the landmarks' ids and the noise of having come nearer."""
         change = np.log(np.maximum(landmarks.points[:, 2], 1e-6) / seen.points_cam[:, 2])
@@ -249,7 +270,7 @@ class LandmarkTracker:
             sigma_disparity_px=np.hypot(seen.sigma_disparity_px, self.config.surface_slope * shift),
         )
 
-    def _carried(self, a_T_b: FloatArray, seen_again: NDArray[np.int64]) -> _Memory | None:
+    def _carried(self, a_T_b: FloatArray, seen_again: NDArray[np.int64]) -> LandmarkMemory | None:
         """The old memory in the new frame's axes, without what was seen again or lost."""
         memory = self._memory
         if memory is None:

@@ -16,6 +16,8 @@ from lunar_fg.commands.geo import geo
 from lunar_fg.commands.match import match
 from lunar_fg.commands.mosaic import mosaic
 from lunar_fg.commands.optimize import optimize
+from lunar_fg.commands.replay import replay
+from lunar_fg.commands.resume import resume
 from lunar_fg.commands.run import run
 from lunar_fg.commands.shared import err, guarded, out
 from lunar_fg.commands.warmup import warmup
@@ -45,6 +47,8 @@ def main(
 
 
 app.command()(guarded(run))
+app.command()(guarded(resume))
+app.command()(guarded(replay))
 app.command()(guarded(optimize))
 app.command(name="eval")(guarded(evaluate))
 app.command()(guarded(demo))

@@ -20,7 +20,8 @@ from lunar_fg.evaluation.plots import write_plots
 from lunar_fg.graph.batch import ConvergenceReport, optimize_batch
 from lunar_fg.graph.config import GraphConfig
 from lunar_fg.graph.incremental import IncrementalSmoother
-from lunar_fg.log import RunHeader, TraverseLog
+from lunar_fg.log import TraverseLog
+from lunar_fg.log_entries import RunHeader
 from lunar_fg.run_folder import RunFolder
 from lunar_fg.runs import as_trajectory, compare
 from lunar_fg.trajectory import Trajectory, Truth

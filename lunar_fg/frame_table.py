@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontends.errors import InputError
-from lunar_fg.frontend import FrameReport
+from lunar_fg.record import FrameReport
 
 FloatArray = NDArray[np.float64]
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,40 +14,15 @@ from frontends.measurements import RelativePose, StereoFrame, UnusableFrame, Ver
 from frontends.relative import MotionPrediction, RelativePositioning
 from frontends.stereo import StereoFeatures, StereoPerception
 from frontends.tracking import LandmarkTracker, Tracks
+from lunar_fg.checkpoint import Checkpoint
 from lunar_fg.config import Config
 from lunar_fg.graph.keyframe import Keyframe
 from lunar_fg.motion import MotionModel, tilt_of
 from lunar_fg.plausibility import DeadCamera, Episodes, Plausibility
+from lunar_fg.record import FrameRecord, FrameReport, Sensors
 from lunar_fg.stopwatch import Stopwatch
 
 FloatArray = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class FrameReport:
-    """Counts of one frame.
-
-    Attributes
-    ----------
-    keypoints
-        In the left image.
-    stereo_matches, refined
-        Pairs in the epipolar band; those whose disparity was refined.
-    landmarks
-        Stereo landmarks within the useful range.
-    tracked, inliers
-        Landmarks found again; those that agree with the motion.
-    wrong_match_rate
-        Share of the tracked landmarks that do not.
-    """
-
-    keypoints: int = 0
-    stereo_matches: int = 0
-    refined: int = 0
-    landmarks: int = 0
-    tracked: int = 0
-    inliers: int = 0
-    wrong_match_rate: float = float("nan")
 
 
 class Frontend:
@@ -74,13 +50,13 @@ class Frontend:
     ) -> None:
         self.perception = StereoPerception(camera, config.stereo, detector)
         self.positioning = RelativePositioning(camera, config.relative, config.seed)
-        self.reports: list[FrameReport] = []
-        self.frames_unusable = 0
+        self.records: list[FrameRecord] = []
+        self._tracker = LandmarkTracker(camera, config.tracking)
         self._unusable: dict[str, Episodes] = {}
         self._dead_camera = DeadCamera()
-        self._plausibility = Plausibility(rover_T_camera)
-        self._tracker = LandmarkTracker(camera, config.tracking)
-        self._motion = MotionModel(rover_T_camera, config.motion)
+        self._rover_T_camera = rover_T_camera
+        self._config = config
+        self._relive(())
         self._stopwatch = stopwatch
 
     def measure(self, frame: StereoFrame | UnusableFrame) -> Keyframe:
@@ -93,32 +69,38 @@ class Frontend:
         """
         taken, frame = frame, self._refuse_dead(frame)
         odometry = self._motion.odometry(frame)
-        prediction = self._motion.predict(odometry)
+        prediction = self._motion.predict(frame)
         if isinstance(frame, UnusableFrame):
             relative = _unmeasured(prediction, frame.reason)
             observations = None
             self._tracker.skip(relative)
-            self.reports.append(FrameReport())
-            self.frames_unusable += 1
-            self._unusable.setdefault(frame.reason, Episodes(frame.reason)).note(frame.index)
+            self.records.append(FrameRecord(Sensors.of(frame), unusable=frame.reason))
+            self._note_unusable(frame.index, frame.reason)
         else:
             with self._stopwatch.stage("stereo"):
                 features = self.perception.perceive(frame)
             tracks, relative = self._locate(features, prediction)
             observations = self._tracker.commit(features, tracks, relative)
-            self.reports.append(_report(features, relative))
+            self.records.append(FrameRecord(Sensors.of(frame), _report(features, relative)))
         self._motion.update(frame, relative)
         if isinstance(taken, StereoFrame):
             self._dead_camera.remember(taken)
-        first = len(self.reports) == 1
+        if len(self.records) == 1:
+            tilt = self._plausibility.tilt(frame.index, tilt_of(frame), relative)
+            return Keyframe(frame.index, frame.stamp_s, observations, tilt=tilt)
         return Keyframe(
             frame.index,
             frame.stamp_s,
             observations,
-            None if first else relative,
-            None if first else self._plausibility.odometry(frame.index, odometry, relative),
+            relative,
+            self._plausibility.odometry(frame.index, odometry, relative),
             self._plausibility.tilt(frame.index, tilt_of(frame), relative),
         )
+
+    @property
+    def frames_unusable(self) -> int:
+        """How many frames had images that could not be used."""
+        return sum(bool(record.unusable) for record in self.records)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -135,15 +117,58 @@ class Frontend:
             return frame
         return UnusableFrame(frame.index, frame.stamp_s, reason, frame.odometry, frame.attitude)
 
-    def adopt(self, disparity_px: FloatArray, newest: Keyframe) -> None:
-        """Correct disparities by this field from now on; go on from a corrected keyframe."""
+    def adopt(self, disparity_px: FloatArray, keyframes: Sequence[Keyframe]) -> None:
+        """Correct disparities by this field from now on; go on from corrected keyframes."""
         self.perception.rectification = replace(
             self.perception.rectification, disparity_px=disparity_px
         )
-        if newest.observations is None:
+        newest = keyframes[-1].observations
+        if newest is None:
             self._tracker.forget()
         else:
-            self._tracker.replace_points(newest.observations)
+            self._tracker.replace_points(newest)
+        self._relive(list(zip(keyframes, self.records, strict=True)))
+
+    def checkpoint(self) -> Checkpoint:
+        """What cannot be computed anew from the measurements of the frames so far."""
+        perception = self.perception
+        return Checkpoint(
+            *self._tracker.state,
+            perception.rectification,
+            perception.vertical_measured,
+            self._dead_camera.seen,
+        )
+
+    def restore(
+        self, checkpoint: Checkpoint, frames: Sequence[tuple[Keyframe, FrameRecord]]
+    ) -> None:
+        """Go on as after these frames, which ended with this checkpoint."""
+        self._tracker.restore(checkpoint.memory, checkpoint.next_id)
+        self.perception.rectification = checkpoint.rectification
+        self.perception.vertical_measured = checkpoint.vertical_measured
+        self._dead_camera.seen = checkpoint.images
+        self.records = [record for _, record in frames]
+        for keyframe, record in frames:
+            if record.unusable:
+                self._note_unusable(keyframe.index, record.unusable)
+        self._relive(frames)
+
+    def _relive(self, frames: Sequence[tuple[Keyframe, FrameRecord]]) -> None:
+        """Bring all that follows from the measurements to where these frames leave it."""
+        self._motion = MotionModel(self._rover_T_camera, self._config.motion)
+        self._plausibility = Plausibility(self._rover_T_camera)
+        for keyframe, record in frames:
+            sensors, relative = record.sensors, keyframe.relative
+            odometry = self._motion.odometry(sensors)
+            self._motion.update(sensors, relative)
+            if relative is None:  # at the first frame
+                relative = _unmeasured(self._motion.predict(sensors), "")
+            else:
+                self._plausibility.odometry(keyframe.index, odometry, relative)
+            self._plausibility.tilt(keyframe.index, tilt_of(sensors), relative)
+
+    def _note_unusable(self, frame: int, reason: str) -> None:
+        self._unusable.setdefault(reason, Episodes(reason)).note(frame)
 
     def _locate(
         self, features: StereoFeatures, prediction: MotionPrediction

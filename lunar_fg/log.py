@@ -4,37 +4,32 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, astuple
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 from frontends.camera import StereoCamera
 from frontends.errors import InputError
-from frontends.measurements import Estimate, FloatArray, StartPrior
+from frontends.measurements import Estimate, StartPrior
+from lunar_fg.checkpoint import Checkpoint
+from lunar_fg.folder_lock import FolderLock
 from lunar_fg.graph.keyframe import Keyframe
-from lunar_fg.log_rows import KEYFRAME_TABLES, TABLES, RowReader, pack, rows_of
+from lunar_fg.log_entries import LoggedFrame, RunHeader, Sitting
+from lunar_fg.log_rows import (
+    KEYFRAME_TABLES,
+    TABLES,
+    RowReader,
+    pack,
+    record_of,
+    rows_of,
+    rows_of_record,
+)
+from lunar_fg.record import FrameRecord
 
-SCHEMA_VERSION = 1
-
-
-@dataclass(frozen=True, slots=True)
-class RunHeader:
-    """What holds for a whole run.
-
-    Attributes
-    ----------
-    camera, rover_T_camera, start
-        As given to the smoother.
-    config_json
-        The effective configuration, as JSON.
-    """
-
-    camera: StereoCamera
-    rover_T_camera: FloatArray
-    start: StartPrior
-    config_json: str = "{}"
+SCHEMA_VERSION = 2
 
 
 class TraverseLog:
@@ -52,6 +47,7 @@ class TraverseLog:
         self._path = path
         self._db = connection
         self._rows = RowReader(path)
+        self._lock: FolderLock | None = None
 
     @classmethod
     def create(cls, path: Path, header: RunHeader) -> Self:
@@ -65,8 +61,10 @@ class TraverseLog:
         if path.exists():
             raise InputError("exists already", source=path, remedy="choose another run folder")
         log = None
+        lock = FolderLock(path.parent)
         try:
             log = cls(path, sqlite3.connect(path, isolation_level=None))
+            log._lock = lock
             log._db.execute("PRAGMA journal_mode=WAL")
             log._db.execute("PRAGMA synchronous=NORMAL")
             log._db.executescript(f"BEGIN;{TABLES}PRAGMA user_version={SCHEMA_VERSION};COMMIT;")
@@ -74,6 +72,7 @@ class TraverseLog:
         except sqlite3.Error as error:
             if log is not None:
                 log.close()
+            lock.release()
             raise InputError(f"cannot be written ({error})", source=path) from error
         return log
 
@@ -86,11 +85,40 @@ class TraverseLog:
         InputError
             The file is missing, damaged, no log, or of another version.
         """
-        if not path.is_file():
-            raise InputError("is missing", source=path, remedy="give the folder of a recorded run")
+        _require(path)
         # Without a writer's journal the file is at rest: read it without making one.
         alone = "" if path.with_name(f"{path.name}-wal").exists() else "&immutable=1"
-        log = cls(path, sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro{alone}", uri=True))
+        return cls._checked(path, f"{path.resolve().as_uri()}?mode=ro{alone}")
+
+    @classmethod
+    def reopen(cls, path: Path) -> Self:
+        """Open an existing log to go on writing it.
+
+        Raises
+        ------
+        InputError
+            As for `open`; also when another process is writing it, or it may not be written.
+        """
+        _require(path)
+        lock = FolderLock(path.parent)
+        try:
+            log = cls._checked(path, f"{path.resolve().as_uri()}?mode=rw")
+        except BaseException:
+            lock.release()
+            raise
+        log._lock = lock
+        try:
+            log._db.execute("PRAGMA journal_mode=WAL")
+            log._db.execute("PRAGMA synchronous=NORMAL")
+        except sqlite3.Error as error:
+            log.close()
+            raise InputError(f"cannot be written ({error})", source=path) from error
+        return log
+
+    @classmethod
+    def _checked(cls, path: Path, uri: str) -> Self:
+        """Connect and check; see `open` for what is raised."""
+        log = cls(path, sqlite3.connect(uri, uri=True, isolation_level=None))
         try:
             (state,) = log._db.execute("PRAGMA integrity_check(1)").fetchone()
             (version,) = log._db.execute("PRAGMA user_version").fetchone()
@@ -112,6 +140,8 @@ class TraverseLog:
     def close(self) -> None:
         """Close the file; the log is then one file without journals."""
         self._db.close()
+        if self._lock is not None:
+            self._lock.release()
 
     def __enter__(self) -> Self:
         """Return the log itself."""
@@ -150,17 +180,50 @@ class TraverseLog:
         rover_T_camera = self._rows.array(rover_T_camera, "run")
         return RunHeader(StereoCamera(**json.loads(camera)), rover_T_camera, prior, config)
 
-    def append(self, keyframe: Keyframe, estimate: Estimate) -> None:
-        """Write a keyframe and its estimate, both or nothing.
+    def begin(self, sitting: Sitting) -> None:
+        """Note the dataset that the next frames are of."""
+        with self._transaction():
+            marks = "(SELECT count(*) FROM sitting), ?, ?, ?, ?, ?"
+            self._db.execute(f"INSERT INTO sitting VALUES ({marks})", astuple(sitting))
+
+    def sittings(self) -> list[Sitting]:
+        """Datasets of the run, in order."""
+        return [Sitting(*row[1:]) for row in self._query("SELECT * FROM sitting ORDER BY number")]
+
+    def append(
+        self,
+        keyframe: Keyframe,
+        estimate: Estimate,
+        record: FrameRecord | None = None,
+        checkpoint: Checkpoint | None = None,
+    ) -> None:
+        """Write a keyframe and what belongs to it, all or nothing.
+
+        Parameters
+        ----------
+        keyframe, estimate
+            What went into the graph and what came out.
+        record
+            The frame's sensors and counts.
+        checkpoint
+            What the frames after it need; only the newest one is kept.
 
         Raises
         ------
         InputError
             The keyframe is in the log already, or the file cannot be written.
         """
-        self._transact([(keyframe, estimate)], start_anew=False)
+        with self._transaction():
+            self._insert(keyframe.index, rows_of(keyframe, estimate))
+            if record is not None:
+                self._insert(keyframe.index, rows_of_record(keyframe.index, record))
+            self._keep(checkpoint, keyframe.index)
 
-    def rewrite(self, entries: Sequence[tuple[Keyframe, Estimate]]) -> None:
+    def rewrite(
+        self,
+        entries: Sequence[tuple[Keyframe, Estimate]],
+        checkpoint: Checkpoint | None = None,
+    ) -> None:
         """Replace all keyframes by these, all or nothing: the first ones were re-measured.
 
         Raises
@@ -168,30 +231,39 @@ class TraverseLog:
         InputError
             The file cannot be written; the old keyframes are kept.
         """
-        self._transact(entries, start_anew=True)
+        with self._transaction():
+            for table in KEYFRAME_TABLES:
+                self._db.execute(f"DELETE FROM {table}")
+            for keyframe, estimate in entries:
+                self._insert(keyframe.index, rows_of(keyframe, estimate))
+            self._keep(checkpoint, entries[-1][0].index if entries else -1)
 
-    def _transact(self, entries: Sequence[tuple[Keyframe, Estimate]], *, start_anew: bool) -> None:
-        frame = -1
+    def _insert(self, frame: int, rows: Iterable[tuple[str, tuple[object, ...]]]) -> None:
+        for table, values in rows:
+            marks = ", ".join("?" * len(values))
+            try:
+                self._db.execute(f"INSERT INTO {table} VALUES ({marks})", values)
+            except sqlite3.IntegrityError as error:
+                raise InputError(
+                    "is in the log already", source=self._path, field=f"keyframe {frame}"
+                ) from error
+
+    def _keep(self, checkpoint: Checkpoint | None, frame: int) -> None:
+        if checkpoint is not None:
+            values = (frame, checkpoint.to_bytes())
+            self._db.execute("INSERT OR REPLACE INTO checkpoint VALUES (1, ?, ?)", values)
+
+    @contextmanager
+    def _transaction(self) -> Iterator[None]:
         try:
             self._db.execute("BEGIN IMMEDIATE")
             try:
-                if start_anew:
-                    for table in KEYFRAME_TABLES:
-                        self._db.execute(f"DELETE FROM {table}")
-                for keyframe, estimate in entries:
-                    frame = keyframe.index
-                    for table, values in rows_of(keyframe, estimate):
-                        marks = ", ".join("?" * len(values))
-                        self._db.execute(f"INSERT INTO {table} VALUES ({marks})", values)
+                yield
+                self._db.execute("COMMIT")
             except BaseException:
-                self._db.execute("ROLLBACK")
+                if self._db.in_transaction:
+                    self._db.execute("ROLLBACK")
                 raise
-            self._db.execute("COMMIT")
-        except sqlite3.IntegrityError as error:
-            raise InputError(
-                "is in the log already", source=self._path,
-                field=f"keyframe {frame}",
-            ) from error  # fmt: skip
         except sqlite3.Error as error:
             raise InputError(
                 f"cannot be written ({error})", source=self._path,
@@ -215,8 +287,46 @@ class TraverseLog:
         )
         return [self._rows.estimate(row) for row in self._query(query)]
 
+    def frames(self) -> list[LoggedFrame]:
+        """Read all that there is of each frame, in order."""
+        sensors = {row[0]: row for row in self._query("SELECT * FROM sensors")}
+        counts = {row[0]: row for row in self._query("SELECT * FROM counts")}
+        return [
+            LoggedFrame(
+                keyframe,
+                estimate,
+                record_of(sensors[keyframe.index], counts[keyframe.index])
+                if keyframe.index in sensors and keyframe.index in counts
+                else None,
+            )
+            for keyframe, estimate in zip(self.keyframes(), self.estimates(), strict=True)
+        ]
+
+    def checkpoint(self) -> tuple[int, Checkpoint] | None:
+        """Read the newest checkpoint and the number of its frame.
+
+        Raises
+        ------
+        InputError
+            It is damaged.
+        """
+        rows = self._query("SELECT frame, state FROM checkpoint")
+        if not rows:
+            return None
+        try:
+            return rows[0][0], Checkpoint.from_bytes(rows[0][1])
+        except (ValueError, KeyError, OSError, EOFError) as error:
+            raise InputError(
+                f"holds a damaged checkpoint ({error})", source=self._path, field="checkpoint"
+            ) from error
+
     def _query(self, sql: str) -> list[tuple[Any, ...]]:
         try:
             return self._db.execute(sql).fetchall()
         except sqlite3.Error as error:
             raise InputError(f"cannot be read ({error})", source=self._path) from error
+
+
+def _require(path: Path) -> None:
+    if not path.is_file():
+        raise InputError("is missing", source=path, remedy="give the folder of a recorded run")

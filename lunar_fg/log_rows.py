@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import io
 import json
+import math
 from collections.abc import Iterator
-from dataclasses import fields
+from dataclasses import astuple, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,19 +18,24 @@ import numpy as np
 
 from frontends.errors import InputError
 from frontends.measurements import (
+    Attitude,
     Estimate,
     Odometry,
     RelativePose,
     StereoObservations,
     Tilt,
     Verdict,
+    WheelOdometry,
 )
 from lunar_fg.graph.keyframe import Keyframe
+from lunar_fg.record import FrameRecord, FrameReport, Sensors
 
 TABLES = """
 CREATE TABLE run (only INTEGER PRIMARY KEY CHECK (only = 1), camera TEXT NOT NULL,
     rover_T_camera BLOB NOT NULL, start TEXT NOT NULL, start_pose BLOB NOT NULL,
     config TEXT NOT NULL);
+CREATE TABLE sitting (number INTEGER PRIMARY KEY, dataset TEXT NOT NULL, images TEXT,
+    traverse TEXT, index_offset INTEGER NOT NULL, stamp_offset_s REAL NOT NULL);
 CREATE TABLE keyframe (frame INTEGER PRIMARY KEY, stamp_s REAL NOT NULL,
     tilt_roll_rad REAL, tilt_pitch_rad REAL, tilt_sigma_rad REAL,
     odometry_pose BLOB, odometry_covariance BLOB);
@@ -43,8 +49,17 @@ CREATE TABLE relative (frame INTEGER PRIMARY KEY REFERENCES keyframe,
 CREATE TABLE estimate (frame INTEGER PRIMARY KEY REFERENCES keyframe,
     pose BLOB NOT NULL, covariance BLOB NOT NULL, lost INTEGER NOT NULL, used TEXT NOT NULL,
     refused TEXT NOT NULL);
+CREATE TABLE sensors (frame INTEGER PRIMARY KEY, stamp_s REAL NOT NULL,
+    wheels_forward_m REAL, wheels_lateral_m REAL, wheels_yaw_rad REAL,
+    roll_rad REAL, pitch_rad REAL, yaw_rad REAL, sigma_rp_rad REAL, sigma_yaw_rad REAL);
+CREATE TABLE counts (frame INTEGER PRIMARY KEY, keypoints INTEGER NOT NULL,
+    stereo_matches INTEGER NOT NULL, refined INTEGER NOT NULL, landmarks INTEGER NOT NULL,
+    tracked INTEGER NOT NULL, inliers INTEGER NOT NULL, wrong_match_rate REAL,
+    unusable TEXT NOT NULL);
+CREATE TABLE checkpoint (only INTEGER PRIMARY KEY CHECK (only = 1), frame INTEGER NOT NULL,
+    state BLOB NOT NULL);
 """
-#: Those that hold keyframes, each after the ones that refer to it.
+#: Those that hold what the graph was given and gave, each after the ones that refer to it.
 KEYFRAME_TABLES = ("estimate", "relative", "observations", "keyframe")
 
 
@@ -77,6 +92,28 @@ def rows_of(keyframe: Keyframe, estimate: Estimate) -> Iterator[tuple[str, tuple
         frame, pack(estimate.map_T_rover), pack(estimate.covariance), int(estimate.lost),
         json.dumps(estimate.used), json.dumps(estimate.refused),
     )  # fmt: skip
+
+
+def rows_of_record(frame: int, record: FrameRecord) -> Iterator[tuple[str, tuple[object, ...]]]:
+    """Tables and rows of what a frame gave beside its keyframe."""
+    sensors, wheels, attitude = record.sensors, record.sensors.odometry, record.sensors.attitude
+    yield "sensors", (
+        frame, sensors.stamp_s,
+        *((None,) * 3 if wheels is None else astuple(wheels)),
+        *((None,) * 5 if attitude is None else astuple(attitude)),
+    )  # fmt: skip
+    # SQLite keeps a NaN as NULL
+    yield "counts", (frame, *astuple(record.report), record.unusable)
+
+
+def record_of(sensors: tuple[Any, ...], counts: tuple[Any, ...]) -> FrameRecord:
+    """Build a record from its rows."""
+    _, stamp_s, *readings = sensors
+    wheels = None if readings[0] is None else WheelOdometry(*readings[:3])
+    attitude = None if readings[3] is None else Attitude(*readings[3:])
+    *numbers, rate, unusable = counts[1:]
+    report = replace(FrameReport(*numbers), wrong_match_rate=math.nan if rate is None else rate)
+    return FrameRecord(Sensors(stamp_s, wheels, attitude), report, unusable)
 
 
 class RowReader:

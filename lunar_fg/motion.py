@@ -10,22 +10,18 @@ from annotated_types import Ge, Le
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from frontends.geometry import adjoint, inverse, pose
-from frontends.measurements import (
-    Attitude,
-    Odometry,
-    RelativePose,
-    StereoFrame,
-    Tilt,
-    UnusableFrame,
-    WheelOdometry,
-)
+from frontends.geometry import adjoint, inverse, pose, se3_exp, se3_log
+from frontends.measurements import Attitude, Odometry, RelativePose, Tilt, WheelOdometry
 from frontends.relative import MotionPrediction
+from lunar_fg.record import Sensed
 
 FloatArray = NDArray[np.float64]
-Frame = StereoFrame | UnusableFrame
 #: A 1-sigma or a share; finite, not negative.
 Sigma = Annotated[float, Ge(0), Le(1e6)]
+
+
+#: See `MotionConfig.steady_sigma`; over a longer gap nothing is known of the motion.
+LONGEST_STEADY = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +40,7 @@ class MotionConfig:
         1-sigma of the change of roll and pitch over a metre, where no attitude is known.
     steady_sigma
         Constant velocity: 1-sigma of the change of the step, as a share of the step.
+        A velocity is taken to last for `LONGEST_STEADY` times the time it was measured over.
     steady_sigma_m, steady_sigma_rad
         Constant velocity: 1-sigma that is there at any speed.
     unknown_sigma_m, unknown_sigma_rad
@@ -77,73 +74,103 @@ class MotionModel:
     def __init__(self, rover_T_camera: FloatArray, config: MotionConfig | None = None) -> None:
         self.config = config or MotionConfig()
         self._camera_T_rover = inverse(rover_T_camera)
-        self._last: RelativePose | None = None
-        self._moved = False
+        self._rover_T_camera = np.asarray(rover_T_camera)
+        self._step: FloatArray | None = None  # the last motion that was measured, as a twist
+        self._step_s = 0.0  # and the time it took
+        self._known = False
         self._losses = 0
-        self._attitude: Attitude | None = None
+        self._before: Sensed | None = None
 
     @property
     def known(self) -> bool:
         """Whether a motion was measured just before."""
-        return self._last is not None and self._last.accepted
+        return self._known
 
-    def odometry(self, frame: Frame) -> Odometry | None:
-        """Motion by wheels and attitude since the frame before, rover axes."""
+    def odometry(self, frame: Sensed) -> Odometry | None:
+        """Motion by the wheels since the frame before, rover axes.
+
+        The attitude gives it the change of roll and pitch as an initial value, but no
+        information: the graph has the same readings as tilts.
+        """
         if frame.odometry is None:
             return None
-        return _wheel_motion(frame.odometry, self._attitude, frame.attitude, self.config)
+        before = None if self._before is None else self._before.attitude
+        rotation = _rotation(frame.odometry, before, frame.attitude)
+        sigmas = _wheel_sigmas(frame.odometry, self.config)
+        return Odometry(_chord(frame.odometry, rotation), np.diag(sigmas**2))
 
-    def predict(self, odometry: Odometry | None) -> MotionPrediction:
-        """Motion to expect between the cameras."""
-        if odometry is not None:
-            turn = adjoint(self._camera_T_rover)
-            rover_T_camera = inverse(self._camera_T_rover)
-            return MotionPrediction(
-                self._camera_T_rover @ odometry.a_T_b @ rover_T_camera,
-                turn @ odometry.covariance @ turn.T,
-            )
-        config = self.config
-        if self._last is None or not self._moved:
+    def predict(self, frame: Sensed) -> MotionPrediction:
+        """Motion to expect between the cameras, whatever it is known from."""
+        if frame.odometry is not None:
+            return self._by_wheels(frame.odometry, frame.attitude)
+        config, elapsed = self.config, self._elapsed(frame)
+        if self._step is None or elapsed > LONGEST_STEADY * self._step_s:
             sigmas = np.array([config.unknown_sigma_rad] * 3 + [config.unknown_sigma_m] * 3)
             return MotionPrediction(np.eye(4), np.diag(sigmas**2))
+        share = elapsed / self._step_s
+        motion = se3_exp(share * self._step)
         # the longer nothing was measured, the less the last motion says
-        staleness = 1.0 + self._losses
-        step = float(np.linalg.norm(self._last.a_T_b[:3, 3]))
+        staleness = (1.0 + self._losses) * max(share, 1.0)
+        step = float(np.linalg.norm(motion[:3, 3]))
         sigma_m = staleness * np.hypot(config.steady_sigma_m, config.steady_sigma * step)
         sigmas = np.array([staleness * config.steady_sigma_rad] * 3 + [sigma_m] * 3)
-        return MotionPrediction(self._last.a_T_b, np.diag(sigmas**2))
+        return MotionPrediction(motion, np.diag(sigmas**2))
 
-    def update(self, frame: Frame, relative: RelativePose) -> None:
-        """Remember the motion that was found."""
-        self._last = relative
-        self._moved = self._moved or relative.accepted
-        self._losses = 0 if relative.accepted else self._losses + 1
-        self._attitude = frame.attitude
+    def update(self, frame: Sensed, relative: RelativePose | None) -> None:
+        """Remember the motion that was found; None at the first frame."""
+        self._known = relative is not None and relative.accepted
+        if relative is not None and relative.accepted:
+            self._step, self._step_s = se3_log(relative.a_T_b), self._elapsed(frame)
+            self._losses = 0
+        else:
+            self._losses += 1
+        self._before = frame
+
+    def _elapsed(self, frame: Sensed) -> float:
+        return 0.0 if self._before is None else frame.stamp_s - self._before.stamp_s
+
+    def _by_wheels(self, wheels: WheelOdometry, attitude: Attitude | None) -> MotionPrediction:
+        before = None if self._before is None else self._before.attitude
+        sigmas = _wheel_sigmas(wheels, self.config)
+        if before is not None and attitude is not None:
+            sigmas[:2] = np.hypot(before.sigma_rp_rad, attitude.sigma_rp_rad)
+        motion = _chord(wheels, _rotation(wheels, before, attitude))
+        turn = adjoint(self._camera_T_rover)
+        return MotionPrediction(
+            self._camera_T_rover @ motion @ self._rover_T_camera,
+            turn @ np.diag(sigmas**2) @ turn.T,
+        )
 
 
-def tilt_of(frame: Frame) -> Tilt | None:
+def tilt_of(frame: Sensed) -> Tilt | None:
     """Roll and pitch against gravity, where the frame has an attitude."""
     if frame.attitude is None:
         return None
     return Tilt(frame.attitude.roll_rad, frame.attitude.pitch_rad, frame.attitude.sigma_rp_rad)
 
 
-def _wheel_motion(
-    wheels: WheelOdometry, before: Attitude | None, now: Attitude | None, config: MotionConfig
-) -> Odometry:
+def _rotation(wheels: WheelOdometry, before: Attitude | None, now: Attitude | None) -> Rotation:
+    """Turn of the wheels, roll and pitch as the attitude changes where it is known."""
+    turn = Rotation.from_euler("z", wheels.d_yaw_rad)
+    if before is None or now is None:
+        return turn
+    # the attitude's yaw is left out: it drifts
+    level_before = Rotation.from_euler("ZYX", [0.0, before.pitch_rad, before.roll_rad])
+    level_now = Rotation.from_euler("ZYX", [0.0, now.pitch_rad, now.roll_rad])
+    return level_before.inv() * turn * level_now
+
+
+def _chord(wheels: WheelOdometry, rotation: Rotation) -> FloatArray:
+    """Motion along an arc that turns by `rotation`."""
+    half = Rotation.from_rotvec(0.5 * rotation.as_rotvec())
+    translation = half.apply([wheels.d_forward_m, wheels.d_lateral_m, 0.0])
+    return pose(rotation.as_matrix(), translation)
+
+
+def _wheel_sigmas(wheels: WheelOdometry, config: MotionConfig) -> FloatArray:
+    """1-sigmas of a wheel motion, rotation then translation, without an attitude."""
     distance = float(np.hypot(wheels.d_forward_m, wheels.d_lateral_m))
     sigma_m = float(np.hypot(config.wheel_sigma_m, config.slip * distance))
     sigma_yaw = float(np.hypot(1e-3, config.heading_sigma * wheels.d_yaw_rad))
-    rotation = Rotation.from_euler("z", wheels.d_yaw_rad)
     sigma_tilt = float(np.hypot(1e-3, config.tilt_rate_rad_per_m * distance))
-    if before is not None and now is not None:
-        # roll and pitch change as the attitude says; the turn stays the wheels' own, since
-        # the attitude's yaw drifts
-        level_before = Rotation.from_euler("ZYX", [0.0, before.pitch_rad, before.roll_rad])
-        level_now = Rotation.from_euler("ZYX", [0.0, now.pitch_rad, now.roll_rad])
-        rotation = level_before.inv() * rotation * level_now
-        sigma_tilt = float(np.hypot(before.sigma_rp_rad, now.sigma_rp_rad))
-    half = Rotation.from_rotvec(0.5 * rotation.as_rotvec())
-    translation = half.apply([wheels.d_forward_m, wheels.d_lateral_m, 0.0])
-    sigmas = np.array([sigma_tilt, sigma_tilt, sigma_yaw, sigma_m, sigma_m, sigma_m])
-    return Odometry(pose(rotation.as_matrix(), translation), np.diag(sigmas**2))
+    return np.array([sigma_tilt, sigma_tilt, sigma_yaw, sigma_m, sigma_m, sigma_m])

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from frontends.camera import StereoCamera, level_rover_T_camera
 from frontends.detector import FeatureDetector
+from frontends.errors import InputError
 from frontends.measurements import Estimate, StartPrior, StereoFrame, UnusableFrame
+from lunar_fg.checkpoint import Checkpoint
 from lunar_fg.config import Config
-from lunar_fg.frontend import FrameReport, Frontend
+from lunar_fg.frontend import Frontend
 from lunar_fg.graph.incremental import IncrementalSmoother
 from lunar_fg.log import TraverseLog
 from lunar_fg.order import FrameOrder
+from lunar_fg.record import FrameReport
 from lunar_fg.self_calibration import SelfCalibration
 from lunar_fg.stopwatch import Stopwatch
 from lunar_fg.trajectory import Trajectory
@@ -87,13 +92,50 @@ class Navigator:
                 estimate = self._smoother.add(keyframe)
             if self._log is not None:
                 with self.stopwatch.stage("log"):
-                    self._log.append(keyframe, estimate)
+                    record = self._frontend.records[-1]
+                    self._log.append(keyframe, estimate, record, self._checkpoint())
             if self._calibration.watch(keyframe):
                 with self.stopwatch.stage("self-calibration"):
                     estimate = self._recalibrate()
         self._order.accept(frame)
         self.frames_lost += estimate.lost
         return estimate
+
+    def resume(self) -> None:
+        """Go on where the log ends: what follows is as if there had been no interruption.
+
+        The graph is built anew from the logged measurements, the images' side set to the
+        logged checkpoint; no image is needed.
+
+        Raises
+        ------
+        InputError
+            The log lacks what is needed, or cannot be read.
+        """
+        assert self._log is not None
+        frames, newest = self._log.frames(), self._log.checkpoint()
+        if not frames:
+            return
+        keyframes = [frame.keyframe for frame in frames]
+        records = [frame.record for frame in frames if frame.record is not None]
+        if newest is None or newest[0] != keyframes[-1].index or len(records) < len(frames):
+            raise InputError(
+                "holds measurements only: the images' side cannot go on from it",
+                source="log",
+                remedy="use `lunar-fg replay`, or run again",
+            )
+        for keyframe in keyframes:
+            self._smoother.add(keyframe)
+        checkpoint = newest[1]
+        self._frontend.restore(checkpoint, list(zip(keyframes, records, strict=True)))
+        self._corrected = checkpoint.corrected
+        self._order.accept(keyframes[-1])
+        self.frames_lost = sum(frame.estimate.lost for frame in frames)
+        if not checkpoint.watching:
+            self._calibration.concluded(checkpoint.finding)
+        elif [k for k in keyframes if self._calibration.watch(k)]:
+            last = self._recalibrate()
+            self.frames_lost += last.lost
 
     def finish(self) -> None:
         """Smooth what is still open; call it after the last frame."""
@@ -110,7 +152,7 @@ class Navigator:
     @property
     def reports(self) -> list[FrameReport]:
         """Counts of every frame so far."""
-        return self._frontend.reports
+        return [record.report for record in self._frontend.records]
 
     @property
     def frames_usable(self) -> int:
@@ -134,6 +176,14 @@ class Navigator:
     def _new_smoother(self) -> IncrementalSmoother:
         return IncrementalSmoother(self.camera, self.rover_T_camera, self._start, self.config.graph)
 
+    def _checkpoint(self) -> Checkpoint:
+        return replace(
+            self._frontend.checkpoint(),
+            watching=self._calibration.watching,
+            finding=self._calibration.finding,
+            corrected=self._corrected,
+        )
+
     def _recalibrate(self) -> Estimate:
         """Start again from the measurements so far, with the disparity error removed."""
         finding = self._calibration.finding
@@ -141,11 +191,11 @@ class Navigator:
         keyframes = self._calibration.corrected(finding.field_px, self._frontend.positioning)
         smoother = self._new_smoother()
         entries = [(keyframe, smoother.add(keyframe)) for keyframe in keyframes]
-        if self._log is not None:
-            self._log.rewrite(entries)
-        self._smoother = smoother
-        self._frontend.adopt(finding.field_px, keyframes[-1])
+        self._frontend.adopt(finding.field_px, keyframes)
         self._calibration.forget()
         self._corrected = True
+        if self._log is not None:
+            self._log.rewrite(entries, self._checkpoint())
+        self._smoother = smoother
         self.frames_lost = sum(estimate.lost for _, estimate in entries[:-1])
         return entries[-1][1]

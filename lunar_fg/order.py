@@ -10,6 +10,7 @@ from frontends.camera import StereoCamera
 from frontends.errors import InputError
 from frontends.measurements import StereoFrame, UnusableFrame, WheelOdometry
 from lunar_fg.datasets.association import composed
+from lunar_fg.graph.keyframe import Keyframe
 from lunar_fg.plausibility import Episodes
 
 Frame = StereoFrame | UnusableFrame
@@ -108,7 +109,7 @@ class FrameOrder:
                 remedy="start a new navigator for another camera",
             )
 
-    def accept(self, frame: StereoFrame | UnusableFrame) -> None:
+    def accept(self, frame: StereoFrame | UnusableFrame | Keyframe) -> None:
         """Remember the frame as the newest one."""
         self._index, self._stamp_s = frame.index, frame.stamp_s
 

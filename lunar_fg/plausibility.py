@@ -7,6 +7,7 @@ its last image.
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from frontends.geometry import inverse, se3_log
-from frontends.measurements import Odometry, RelativePose, StereoFrame, Tilt
+from frontends.measurements import Image, Odometry, RelativePose, StereoFrame, Tilt
 
 FloatArray = NDArray[np.float64]
 
@@ -60,21 +61,32 @@ class DeadCamera:
     """
 
     def __init__(self) -> None:
-        self._before: StereoFrame | None = None
+        self.seen: tuple[bytes, bytes] | None = None
+        """Digests of the last left and right image."""
 
     def found(self, frame: StereoFrame) -> str:
         """Say what is wrong with the images; empty when nothing is."""
-        before = self._before
         for name, image in (("left", frame.left), ("right", frame.right)):
             if image.min() == image.max():
                 return f"the {name} image is blank"
-            if before is not None and np.array_equal(getattr(before, name), image):
+        for name, now, before in zip(
+            ("left", "right"), _digests(frame), self.seen or (), strict=False
+        ):
+            if now == before:
                 return f"the {name} image is that of the frame before"
         return ""
 
     def remember(self, frame: StereoFrame) -> None:
         """Compare the next frame with this one."""
-        self._before = frame
+        self.seen = _digests(frame)
+
+
+def _digests(frame: StereoFrame) -> tuple[bytes, bytes]:
+    return _digest(frame.left), _digest(frame.right)
+
+
+def _digest(image: Image) -> bytes:
+    return hashlib.blake2b(np.ascontiguousarray(image).tobytes(), digest_size=16).digest()
 
 
 class Plausibility:

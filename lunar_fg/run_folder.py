@@ -1,8 +1,8 @@
 """The folder of a run: what a run writes, and how it is found again.
 
 Whole files are written beside their place and then renamed, so a reader sees the old
-one or the new one and never half of one. Estimates are also appended one by one while the
-run goes on (`RunFolder.recorder`): what was computed survives an aborted run.
+one or the new one and never half of one. While a run goes on, `lunar_fg.recorder` adds its
+estimates one by one.
 """
 
 from __future__ import annotations
@@ -13,8 +13,7 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import yaml
@@ -22,7 +21,6 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from frontends.errors import InputError
-from frontends.measurements import Estimate
 from lunar_fg.evaluation.metrics import Metrics
 from lunar_fg.trajectory import Trajectory, Truth
 from lunar_fg.trajectory_io import (
@@ -30,7 +28,6 @@ from lunar_fg.trajectory_io import (
     position_text,
     read_track,
     read_trajectory,
-    tum_line,
     tum_text,
 )
 
@@ -38,8 +35,6 @@ FloatArray = NDArray[np.float64]
 
 #: First line of ``config.yaml``: a folder with it is a run's, and may be overwritten.
 MARK = "# lunar-fg run"
-#: Frames between two rewrites of the covariances while a run goes on.
-SAVE_EVERY = 50
 
 _FILES = (
     "config.yaml",
@@ -239,10 +234,6 @@ class RunFolder:
                 return read_track(self.path / name)
         return None
 
-    def recorder(self, *, rover_T_camera: FloatArray | None = None) -> EstimateRecorder:
-        """Record a run's estimates as they come; for a ``with`` statement."""
-        return EstimateRecorder(self, rover_T_camera)
-
     def write_metrics(self, metrics: Metrics) -> None:
         """Write ``metrics.json``."""
         write_whole(self.metrics_path, metrics.to_json().encode())
@@ -288,50 +279,6 @@ class RunFolder:
             self.plots_path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"cannot be written: {error.strerror}", source=self.path) from error
-
-
-class EstimateRecorder:
-    """Keeps every estimate of a run on disk as it comes.
-
-    Each estimate is a line of ``trajectory.tum`` at once; covariances and the KITTI file
-    follow every `SAVE_EVERY` frames and when the ``with`` block ends, also by an exception.
-
-    `rover_T_camera` is for the KITTI file, see `RunFolder.write_trajectory`.
-    """
-
-    def __init__(self, folder: RunFolder, rover_T_camera: FloatArray | None = None) -> None:
-        self._folder = folder
-        self._rover_T_camera = rover_T_camera
-        self._estimates: list[Estimate] = []
-
-    def __enter__(self) -> Self:
-        """Start recording."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        """Write everything recorded, whether the block ended well or not."""
-        if self._estimates:
-            self._save()
-
-    def record(self, estimate: Estimate) -> None:
-        """Keep one estimate."""
-        self._estimates.append(estimate)
-        with self._folder.tum_path.open("a", encoding="utf-8") as file:
-            file.write(tum_line(estimate.stamp_s, estimate.map_T_rover) + "\n")
-        if len(self._estimates) % SAVE_EVERY == 0:
-            self._save()
-
-    def trajectory(self) -> Trajectory:
-        """Trajectory of all estimates so far."""
-        return Trajectory.from_estimates(self._estimates)
-
-    def _save(self) -> None:
-        self._folder.write_trajectory(self.trajectory(), rover_T_camera=self._rover_T_camera)
 
 
 def write_whole(path: Path, content: bytes) -> None:

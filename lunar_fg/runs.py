@@ -3,29 +3,35 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
-from dataclasses import asdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import asdict, replace
+from itertools import chain
 
 import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
 
 from frontends.errors import InputError, LunarFgError
-from frontends.measurements import Estimate
+from frontends.measurements import Estimate, StereoFrame, UnusableFrame
 from lunar_fg.config import Config
 from lunar_fg.datasets.base import Dataset, GroundTruth
 from lunar_fg.evaluation import Accuracy, Metrics, evaluate, without_truth
 from lunar_fg.evaluation.plots import write_plots
 from lunar_fg.frame_table import FrameTable
-from lunar_fg.frontend import FrameReport
 from lunar_fg.graph.batch import ConvergenceReport, optimize_batch
 from lunar_fg.graph.keyframe import SmoothedTrajectory
-from lunar_fg.log import RunHeader, TraverseLog
+from lunar_fg.log import TraverseLog
+from lunar_fg.log_entries import RunHeader, Sitting
 from lunar_fg.navigator import Navigator
+from lunar_fg.record import FrameReport
+from lunar_fg.recorder import EstimateRecorder
 from lunar_fg.route import RouteMonitor, states_text
 from lunar_fg.run_folder import RunFolder, write_whole
 from lunar_fg.trajectory import PositionTrack, Trajectory, Truth
 
 logger = logging.getLogger("lunar_fg.runs")
 
+Frame = StereoFrame | UnusableFrame
 OnEstimate = Callable[[Estimate], None]
 
 
@@ -35,6 +41,7 @@ def run(
     config: Config | None = None,
     on_estimate: OnEstimate | None = None,
     route: RouteMonitor | None = None,
+    sitting: Sitting | None = None,
 ) -> Metrics:
     """Navigate through a dataset and write the run folder.
 
@@ -52,6 +59,8 @@ def run(
         Called with each frame's estimate, e.g. for a progress bar.
     route
         Watches the estimates against a planned route.
+    sitting
+        How the dataset was opened, for `resume`; by its path alone where not given.
 
     Returns
     -------
@@ -71,29 +80,133 @@ def run(
         dataset.camera, dataset.rover_T_camera, dataset.start, config.model_dump_json()
     )
     with TraverseLog.create(folder.database_path, header) as log:
+        log.begin(sitting or Sitting(str(dataset.path.resolve())))
         navigator = Navigator(dataset.camera, config, dataset.rover_T_camera, dataset.start, log)
-        try:
-            with folder.recorder(rover_T_camera=dataset.rover_T_camera) as recorder:
-                for frame in dataset.frames():
-                    estimate = navigator.step(frame)
-                    recorder.record(estimate)
-                    if route is not None:
-                        route.observe(estimate)
-                    if on_estimate is not None:
-                        on_estimate(estimate)
-        except LunarFgError as error:
-            logger.error("stopped after %d frames: %s", len(navigator.reports), error)
-            if navigator.reports:
-                _conclude(dataset, folder, navigator, truth, (f"stopped early: {error}",), route)
-            raise
-        metrics = _conclude(dataset, folder, navigator, truth, (), route)
-    if navigator.frames_usable == 0:
+        return _drive(dataset, dataset.frames(), folder, navigator, (), on_estimate, route)
+
+
+def resume(
+    dataset: Dataset,
+    folder: RunFolder,
+    on_estimate: OnEstimate | None = None,
+    route: RouteMonitor | None = None,
+) -> Metrics:
+    """Go on with an interrupted run; it ends as it would have without the interruption.
+
+    Parameters
+    ----------
+    dataset
+        The one of the run's last sitting, see `last_sitting`.
+    folder, on_estimate, route
+        As for `run`.
+
+    Raises
+    ------
+    InputError
+        As for `run`; also when there is no log to go on from, another process writes it, or
+        the dataset is not the run's.
+    """
+    with TraverseLog.reopen(folder.database_path) as log:
+        navigator = _navigator_of(log, dataset)
+        earlier, sitting = log.estimates(), log.sittings()[-1]
+        last = earlier[-1].index if earlier else -1
+        frames = _shifted(dataset.frames(after=last - sitting.index_offset), sitting)
+        return _drive(dataset, frames, folder, navigator, earlier, on_estimate, route)
+
+
+def append(
+    dataset: Dataset,
+    folder: RunFolder,
+    sitting: Sitting,
+    gap_s: float | None = None,
+    on_estimate: OnEstimate | None = None,
+    route: RouteMonitor | None = None,
+) -> Metrics:
+    """Go on with a run in a further sitting of the same traverse.
+
+    Frame numbers are raised where they do not follow those of the run. Over a gap that is
+    long against the time between frames nothing is taken for known of the motion, unless
+    the wheels measured it; landmarks are looked for all the same.
+
+    Parameters
+    ----------
+    dataset
+        Of the new sitting: same camera, same place on the rover.
+    folder, on_estimate, route
+        As for `run`.
+    sitting
+        How the dataset was opened.
+    gap_s
+        Time between the run's last frame and the first of this sitting, where the stamps of
+        the two do not tell; None takes the stamps as they are.
+
+    Raises
+    ------
+    InputError
+        As for `resume`; also when the stamps do not follow.
+    """
+    with TraverseLog.reopen(folder.database_path) as log:
+        navigator = _navigator_of(log, dataset)
+        earlier = log.estimates()
+        frames = dataset.frames()
+        first = next(frames, None)
+        if first is None or not earlier:
+            source = folder.path if first else dataset.path
+            raise InputError("has no frame", source=source, remedy="start a run without --append")
+        last = earlier[-1]
+        stamp_offset_s = 0.0 if gap_s is None else last.stamp_s + gap_s - first.stamp_s
+        if first.stamp_s + stamp_offset_s <= last.stamp_s:
+            raise InputError(
+                f"begins at {first.stamp_s:g} s, the run ends at {last.stamp_s:g} s",
+                source=dataset.path,
+                field="stamp_s",
+                remedy="say with --gap how many seconds lie between the two",
+            )
+        index_offset = 0 if first.index > last.index else last.index + 1 - first.index
+        sitting = replace(sitting, index_offset=index_offset, stamp_offset_s=stamp_offset_s)
+        _extend_truth(folder, dataset, stamp_offset_s)
+        log.begin(sitting)
+        frames = _shifted(chain([first], frames), sitting)
+        return _drive(dataset, frames, folder, navigator, earlier, on_estimate, route)
+
+
+def last_sitting(folder: RunFolder) -> Sitting:
+    """How the dataset was opened that a run went through last.
+
+    Raises
+    ------
+    InputError
+        The run's log is missing, or does not say.
+    """
+    with TraverseLog.open(folder.database_path) as log:
+        sittings = log.sittings()
+    if not sittings:
         raise InputError(
-            "none of its frames could be used",
-            source=dataset.path,
-            remedy="run.log names the reason for each",
-        )
-    return metrics
+            "does not say which dataset it is of", source=folder.database_path,
+            remedy="use `lunar-fg replay`, which needs no images",
+        )  # fmt: skip
+    return sittings[-1]
+
+
+def settings_of(folder: RunFolder) -> Config:
+    """Settings that a run was made with, from its log."""
+    with TraverseLog.open(folder.database_path) as log:
+        return config_of(log.header())
+
+
+def config_of(header: RunHeader) -> Config:
+    """Settings that a run was made with.
+
+    Raises
+    ------
+    InputError
+        They are none of this program's.
+    """
+    try:
+        return Config.model_validate_json(header.config_json)
+    except ValidationError as error:
+        problem = f"holds settings that this program does not know: {error.errors()[0]['msg']}"
+        raise InputError(problem, source="log", field="config") from error
 
 
 def optimize(folder: RunFolder) -> tuple[ConvergenceReport, Accuracy]:
@@ -110,7 +223,7 @@ def optimize(folder: RunFolder) -> tuple[ConvergenceReport, Accuracy]:
     """
     with TraverseLog.open(folder.database_path) as log:
         header, keyframes = log.header(), log.keyframes()
-    config = Config.model_validate_json(header.config_json)
+    config = config_of(header)
     result = optimize_batch(
         header.camera, header.rover_T_camera, header.start, keyframes, config.graph
     )
@@ -153,19 +266,104 @@ def as_trajectory(smoothed: SmoothedTrajectory) -> Trajectory:
     return Trajectory(smoothed.stamp_s, smoothed.map_T_rover, smoothed.covariance)
 
 
+def _navigator_of(log: TraverseLog, dataset: Dataset) -> Navigator:
+    """Make a navigator that stands where the log ends."""
+    header = log.header()
+    mount = np.allclose(header.rover_T_camera, dataset.rover_T_camera, rtol=0.0, atol=1e-9)
+    if header.camera != dataset.camera or not mount:
+        raise InputError(
+            "has another camera, or the camera in another place, than the run",
+            source=dataset.path,
+            field="camera",
+            remedy="give the dataset of the run, or start a new run",
+        )
+    navigator = Navigator(
+        header.camera, config_of(header), header.rover_T_camera, header.start, log
+    )
+    navigator.resume()
+    return navigator
+
+
+def _shifted(frames: Iterable[Frame], sitting: Sitting) -> Iterator[Frame]:
+    """Frames with numbers and stamps that follow the sitting before."""
+    for frame in frames:
+        yield replace(
+            frame,
+            index=frame.index + sitting.index_offset,
+            stamp_s=frame.stamp_s + sitting.stamp_offset_s,
+        )
+
+
+def _extend_truth(folder: RunFolder, dataset: Dataset, stamp_offset_s: float) -> None:
+    """Add a sitting's truth to the run's, where both are of a kind."""
+    before, more = folder.read_truth(), truth_of(dataset.ground_truth)
+    if before is None or more is None:
+        return
+    stamps = np.concatenate([before.stamp_s, more.stamp_s + stamp_offset_s])
+    if isinstance(before, Trajectory) and isinstance(more, Trajectory):
+        poses = np.concatenate([before.map_T_rover, more.map_T_rover])
+        folder.write_truth(Trajectory(stamps, poses))
+    elif isinstance(before, PositionTrack) and isinstance(more, PositionTrack):
+        columns = min(before.position_m.shape[1], more.position_m.shape[1])
+        positions = np.concatenate([t.position_m[:, :columns] for t in (before, more)])
+        folder.write_truth(PositionTrack(stamps, positions))
+    else:
+        logger.warning("the truth of this sitting is of another kind than the run's: left out")
+
+
+def _drive(
+    dataset: Dataset,
+    frames: Iterable[Frame],
+    folder: RunFolder,
+    navigator: Navigator,
+    earlier: Sequence[Estimate],
+    on_estimate: OnEstimate | None,
+    route: RouteMonitor | None = None,
+) -> Metrics:
+    """Take the frames through the navigator, and write all whatever happens."""
+    if route is not None:
+        for estimate in earlier:
+            route.observe(estimate)
+    try:
+        with EstimateRecorder(folder, navigator.rover_T_camera, earlier) as recorder:
+            for frame in frames:
+                estimate = navigator.step(frame)
+                recorder.record(estimate)
+                if route is not None:
+                    route.observe(estimate)
+                if on_estimate is not None:
+                    on_estimate(estimate)
+    except LunarFgError as error:
+        logger.error("stopped after %d frames: %s", len(navigator.reports), error)
+        if navigator.reports:
+            try:
+                _conclude(dataset, folder, navigator, (f"stopped early: {error}",), route)
+            except (LunarFgError, OSError) as second:
+                logger.error("and the results could not be written whole: %s", second)
+        raise
+    metrics = _conclude(dataset, folder, navigator, (), route)
+    if navigator.frames_usable == 0:
+        raise InputError(
+            "none of its frames could be used",
+            source=dataset.path,
+            remedy="run.log names the reason for each",
+        )
+    return metrics
+
+
 def _conclude(
     dataset: Dataset,
     folder: RunFolder,
     navigator: Navigator,
-    truth: Truth | None,
     warnings: tuple[str, ...],
     route: RouteMonitor | None,
 ) -> Metrics:
     """Smooth what is open and write everything that the run has."""
+    truth = folder.read_truth()
     navigator.finish()
     trajectory = navigator.trajectory()
     folder.write_trajectory(trajectory, rover_T_camera=dataset.rover_T_camera)
-    timing = {name: np.array(ms) for name, ms in navigator.stopwatch.milliseconds().items()}
+    timing = _timing(navigator)
     warnings = (*warnings, *dataset.notes, *navigator.warnings)
     for warning in warnings:
         logger.warning(warning)
@@ -191,6 +389,14 @@ def _conclude(
         name=dataset.name,
     )
     return metrics
+
+
+def _timing(navigator: Navigator) -> dict[str, NDArray[np.float64]]:
+    """Milliseconds by stage, one a frame; NaN for the frames before a run was resumed."""
+    return {
+        name: np.concatenate([np.full(len(navigator.reports) - len(ms), np.nan), ms])
+        for name, ms in navigator.stopwatch.milliseconds().items()
+    }
 
 
 def _counts(reports: list[FrameReport]) -> dict[str, list[float]]:

@@ -89,6 +89,15 @@ class SelfCalibration:
             result.append(replace(keyframe, observations=observations, relative=relative))
         return result
 
+    @property
+    def watching(self) -> bool:
+        """Whether frames are still collected."""
+        return self._check is not None
+
+    def concluded(self, finding: DisparityFinding | None) -> None:
+        """Go on as after an earlier conclusion."""
+        self._check, self._keyframes, self.finding = None, [], finding
+
     def forget(self) -> None:
         """Let go of the keyframes, once the corrected ones are in use."""
         self._keyframes = []

@@ -7,15 +7,19 @@ to a few hundredths of a pixel.
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from frontends.camera import StereoCamera, level_rover_T_camera
-from frontends.geometry import inverse, pose, so3_exp, transform_points
+from frontends.geometry import inverse, pose, so3_exp, transform_points, yaw_pitch_roll
 from frontends.measurements import StereoFrame
+from lunar_fg.trajectory import Trajectory
+from lunar_fg.trajectory_io import write_tum
 
 FloatArray = NDArray[np.float64]
 
@@ -182,6 +186,48 @@ def sequence(
     scene = scene or Scene()
     mount = rover_T_camera() if mount is None else mount
     return [scene.frame(map_T_rover @ mount, k) for k, map_T_rover in enumerate(poses)]
+
+
+def write_drive(
+    folder: Path,
+    poses: FloatArray,
+    *,
+    first: int = 0,
+    first_s: float = 0.0,
+    wheels: bool = False,
+    scene: Scene | None = None,
+) -> Path:
+    """A drive in the folder format: images, truth, and if asked wheels and attitude."""
+    folder.mkdir(parents=True)
+    rows = ["frame,stamp_s,left,right"]
+    stamps = first_s + 0.5 * np.arange(len(poses))
+    for k, frame in enumerate(sequence(poses, scene)):
+        name = f"{first + k:03d}.png"
+        for side, image in (("left", frame.left), ("right", frame.right)):
+            (folder / side).mkdir(exist_ok=True)
+            assert cv2.imwrite(str(folder / side / name), image)
+        rows.append(f"{first + k},{stamps[k]},left/{name},right/{name}")
+    (folder / "frames.csv").write_text("\n".join(rows) + "\n")
+    camera = {name: getattr(CAMERA, name) for name in CAMERA.__slots__}
+    (folder / "traverse.yaml").write_text(
+        "schema: lunar-fg/traverse/1\n"
+        f"camera: {json.dumps(camera)}\n"
+        f"rover_T_camera: {rover_T_camera().tolist()}\n"
+    )
+    write_tum(folder / "ground_truth.tum", Trajectory(stamps, poses))
+    if wheels:
+        rng = np.random.default_rng(5)
+        steps = ["stamp_s,d_forward_m,d_lateral_m,d_yaw_rad"]
+        tilts = ["stamp_s,roll_rad,pitch_rad,yaw_rad,sigma_rp_rad,sigma_yaw_rad"]
+        for k in range(len(poses)):
+            motion = inverse(poses[max(k - 1, 0)]) @ poses[k]
+            yaw, pitch, roll = np.array(yaw_pitch_roll(poses[k])) + 0.002 * rng.normal(size=3)
+            x, y, turn = motion[0, 3] * 1.03, motion[1, 3], yaw_pitch_roll(motion)[0]
+            steps.append(f"{stamps[k]},{x},{y},{turn}")
+            tilts.append(f"{stamps[k]},{roll},{pitch},{yaw},0.002,0.002")
+        (folder / "odometry.csv").write_text("\n".join(steps) + "\n")
+        (folder / "attitude.csv").write_text("\n".join(tilts) + "\n")
+    return folder
 
 
 @dataclass(frozen=True)

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import logging
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from lunar_fg import runs
-from lunar_fg.commands.shared import Overwrite, err, out
+from lunar_fg.commands.progress import navigating
+from lunar_fg.commands.resume import route_of
+from lunar_fg.commands.shared import Overwrite, out
 from lunar_fg.config import Config, read_config
 from lunar_fg.console import run_summary
 from lunar_fg.datasets import open_dataset
+from lunar_fg.log_entries import Sitting
 from lunar_fg.route_file import watch
 from lunar_fg.run_folder import RunFolder
 from lunar_fg.run_source import RunSource
@@ -34,34 +35,46 @@ def run(
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of all random choices.")] = None,
     overwrite: Overwrite = False,
+    append: Annotated[
+        bool, typer.Option("--append", help="Go on with the run there: a further sitting.")
+    ] = False,
+    gap: Annotated[
+        float | None, typer.Option(help="Seconds before that sitting, if stamps do not tell.")
+    ] = None,
 ) -> None:
     """Navigate through a stereo sequence.
 
     Example: lunar-fg run my-traverse -o runs/first
     """
-    settings = Config() if config is None else read_config(config)
-    if seed is not None:
-        settings = settings.model_copy(update={"seed": seed})
     opened = open_dataset(dataset, images, traverse)
-    monitor = None if route is None else watch(route, opened, settings.route)
-    folder = RunFolder.create(output, settings, overwrite=overwrite)
-    RunSource.of(opened, images, traverse).write(folder)
-    if route is not None:
-        folder.route_path.write_bytes(route.read_bytes())
-    handler = logging.FileHandler(folder.log_path, encoding="utf-8")
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
-    logging.getLogger("lunar_fg").addHandler(handler)
-    try:
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeRemainingColumn(),
-        )
-        with Progress(*columns, console=err, transient=True) as progress:
-            task = progress.add_task(opened.name, total=len(opened))
-            metrics = runs.run(opened, folder, settings, lambda _: progress.advance(task), monitor)
-    finally:
-        logging.getLogger("lunar_fg").removeHandler(handler)
-        handler.close()
+    sitting = Sitting(str(dataset.resolve()), _absolute(images), _absolute(traverse))
+    if append:
+        _refuse_with_append(config=config, seed=seed, overwrite=overwrite or None, route=route)
+        folder = RunFolder.open(output)
+        with navigating(folder, opened.name, len(opened)) as advance:
+            planned = route_of(folder, opened)
+            metrics = runs.append(opened, folder, sitting, gap, advance, planned)
+    else:
+        settings = Config() if config is None else read_config(config)
+        if seed is not None:
+            settings = settings.model_copy(update={"seed": seed})
+        monitor = None if route is None else watch(route, opened, settings.route)
+        folder = RunFolder.create(output, settings, overwrite=overwrite)
+        RunSource.of(opened, images, traverse).write(folder)
+        if route is not None:
+            folder.route_path.write_bytes(route.read_bytes())
+        with navigating(folder, opened.name, len(opened)) as advance:
+            metrics = runs.run(opened, folder, settings, advance, monitor, sitting)
     out.print(run_summary(opened.name, metrics, output), markup=False)
+
+
+def _absolute(path: Path | None) -> str | None:
+    return None if path is None else str(path.resolve())
+
+
+def _refuse_with_append(**given: object) -> None:
+    for name, value in given.items():
+        if value is not None:
+            raise typer.BadParameter(
+                f"--append goes on with the run's own settings: leave out --{name}"
+            )

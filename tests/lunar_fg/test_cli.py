@@ -9,13 +9,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from synthetic import CAMERA, arc, rover_T_camera, sequence
+from synthetic import CAMERA, arc, write_drive
 from typer.testing import CliRunner, Result
 
 from lunar_fg.cli import app
 from lunar_fg.log import TraverseLog
-from lunar_fg.trajectory import Trajectory
-from lunar_fg.trajectory_io import write_tum
 
 FRAMES = 14
 METRICS = [
@@ -32,27 +30,7 @@ def lunar_fg(*arguments: object) -> Result:
 @pytest.fixture(scope="module")
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short drive in the folder format, with truth."""
-    folder = tmp_path_factory.mktemp("rendered") / "drive"
-    poses = arc(FRAMES)
-    frames = sequence(poses)
-    rows = ["frame,stamp_s,left,right"]
-    for frame in frames:
-        for side, image in (("left", frame.left), ("right", frame.right)):
-            path = folder / side / f"{frame.index:03d}.png"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            assert cv2.imwrite(str(path), image)
-        name = f"{frame.index:03d}.png"
-        rows.append(f"{frame.index},{frame.stamp_s},left/{name},right/{name}")
-    (folder / "frames.csv").write_text("\n".join(rows) + "\n")
-    camera = {name: getattr(CAMERA, name) for name in CAMERA.__slots__}
-    (folder / "traverse.yaml").write_text(
-        "schema: lunar-fg/traverse/1\n"
-        f"camera: {json.dumps(camera)}\n"
-        f"rover_T_camera: {rover_T_camera().tolist()}\n"
-    )
-    stamps = np.array([frame.stamp_s for frame in frames])
-    write_tum(folder / "ground_truth.tum", Trajectory(stamps, poses))
-    return folder
+    return write_drive(tmp_path_factory.mktemp("rendered") / "drive", arc(FRAMES))
 
 
 @pytest.fixture

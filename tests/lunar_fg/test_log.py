@@ -9,7 +9,8 @@ import pytest
 from frontends.errors import InputError
 from frontends.measurements import RelativePose, Verdict
 from lunar_fg.graph import IncrementalSmoother, optimize_batch
-from lunar_fg.log import RunHeader, TraverseLog
+from lunar_fg.log import TraverseLog
+from lunar_fg.log_entries import RunHeader
 from lunar_fg.simulation.measurements import TraverseSpec, simulate
 
 

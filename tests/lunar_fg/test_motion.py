@@ -39,20 +39,59 @@ def measured(a_T_b, verdict=Verdict.ACCEPTED):
     return RelativePose(a_T_b, 1e-6 * np.eye(6), np.zeros(0, int), 20, verdict)
 
 
+def moved(*motions, model=None):
+    """A model that has seen frames 0, 1, ... with these motions between them."""
+    model = model or MotionModel(MOUNT)
+    model.update(frame(0), None)
+    for k, motion in enumerate(motions, start=1):
+        model.update(frame(k), measured(motion))
+    return model
+
+
+def sigmas(prediction):
+    return np.sqrt(np.diag(prediction.covariance))
+
+
 def test_without_wheels_the_last_motion_goes_on():
-    model = MotionModel(MOUNT)
+    model = moved()
     assert not model.known
-    np.testing.assert_array_equal(model.predict(None).a_T_b, np.eye(4))
+    np.testing.assert_array_equal(model.predict(frame(1)).a_T_b, np.eye(4))
     last = se3_exp([0.01, 0.02, -0.01, 0.1, 0.0, 0.5])
-    model.update(frame(), measured(last))
+    model = moved(last)
     assert model.known
-    prediction = model.predict(None)
-    np.testing.assert_array_equal(prediction.a_T_b, last)
-    slow = MotionModel(MOUNT)
-    slow.update(frame(), measured(se3_exp([0, 0, 0, 0, 0, 0.01])))
-    assert (np.diag(prediction.covariance)[3:] > np.diag(slow.predict(None).covariance)[3:]).all()
-    model.update(frame(), measured(last, Verdict.REFUSED))
+    prediction = model.predict(frame(2))
+    np.testing.assert_allclose(prediction.a_T_b, last, atol=1e-12)
+    slow = moved(se3_exp([0, 0, 0, 0, 0, 0.01]))
+    assert (sigmas(prediction)[3:] > sigmas(slow.predict(frame(2)))[3:]).all()
+    model.update(frame(2), measured(last, Verdict.REFUSED))
     assert not model.known
+
+
+def at(stamp_s):
+    return replace(frame(2), stamp_s=stamp_s)
+
+
+@pytest.mark.parametrize("share", [0.25, 1.0, 3.0])
+def test_a_velocity_lasts_for_the_time_that_passes(share):
+    twist = np.array([0.01, 0.02, -0.01, 0.1, 0.0, 0.5])
+    prediction = moved(se3_exp(twist)).predict(at(1.0 + share))
+    np.testing.assert_allclose(prediction.a_T_b, se3_exp(share * twist), atol=1e-12)
+    steady = sigmas(moved(se3_exp(twist)).predict(at(2.0)))
+    assert (sigmas(prediction) >= steady - 1e-12).all() == (share >= 1.0)
+
+
+def test_over_a_long_gap_no_velocity_lasts():
+    model = moved(se3_exp([0.0, 0.0, 0.0, 0.0, 0.0, 0.5]))
+    prediction = model.predict(at(1.0 + 40_000.0))
+    np.testing.assert_array_equal(prediction.a_T_b, np.eye(4))
+    np.testing.assert_allclose(sigmas(prediction)[3:], MotionConfig().unknown_sigma_m)
+
+
+def test_a_velocity_over_two_losses_counts_the_time_of_each_frame():
+    twist = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.5])
+    model = moved(se3_exp(twist))
+    model.update(frame(2), measured(se3_exp(twist), Verdict.REFUSED))
+    np.testing.assert_allclose(model.predict(frame(3)).a_T_b, se3_exp(twist), atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -81,7 +120,11 @@ def test_attitude_gives_the_change_of_tilt_and_the_wheels_the_turn():
     end = start @ motion.a_T_b[:3, :3]
     yaw, pitch, roll = yaw_pitch_roll(pose(end, np.zeros(3)))
     assert (yaw, pitch, roll) == pytest.approx((0.95, 0.15, -0.05), abs=1e-9)
-    assert np.diag(motion.covariance)[0] == pytest.approx(2 * 0.005**2)
+    # the readings are the graph's tilts as well: here they are no information
+    without = model.odometry(frame(1, (0.3, 0.0, 0.25)))
+    np.testing.assert_array_equal(motion.covariance, without.covariance)
+    predicted = model.predict(frame(1, (0.3, 0.0, 0.25), now))
+    assert np.linalg.eigvalsh(predicted.covariance[:3, :3])[0] == pytest.approx(2 * 0.005**2)
 
 
 def test_the_covariance_grows_with_distance_and_turn():
@@ -99,7 +142,7 @@ def test_the_covariance_grows_with_distance_and_turn():
 def test_the_prediction_is_the_odometry_seen_by_the_camera():
     model = MotionModel(MOUNT)
     odometry = model.odometry(frame(1, (0.4, 0.02, 0.1)))
-    prediction = model.predict(odometry)
+    prediction = model.predict(frame(1, (0.4, 0.02, 0.1)))
     np.testing.assert_allclose(
         MOUNT @ prediction.a_T_b @ inverse(MOUNT), odometry.a_T_b, atol=1e-12
     )
@@ -122,10 +165,10 @@ def test_the_prediction_is_the_odometry_seen_by_the_camera():
 
 def test_a_level_camera_sees_a_forward_drive_along_its_axis():
     model = MotionModel(level_rover_T_camera())
-    prediction = model.predict(model.odometry(frame(1, (0.5, 0.0, 0.0))))
+    prediction = model.predict(frame(1, (0.5, 0.0, 0.0)))
     np.testing.assert_allclose(prediction.a_T_b[:3, 3], [0.0, 0.0, 0.5], atol=1e-12)
     # a left turn brings the camera's axis to its left: -x
-    turned = model.predict(model.odometry(frame(1, (0.0, 0.0, 0.2))))
+    turned = model.predict(frame(1, (0.0, 0.0, 0.2)))
     assert (turned.a_T_b[:3, :3] @ [0, 0, 1])[0] < 0.0
 
 
@@ -167,7 +210,7 @@ def test_nothing_is_claimed_before_the_first_motion():
     config = MotionConfig(unknown_sigma_m=2.0, unknown_sigma_rad=0.4)
     model = MotionModel(MOUNT, config)
     for k in range(3):  # what was refused was not measured: it leaves all as unknown as it was
-        prediction = model.predict(None)
+        prediction = model.predict(frame(k))
         np.testing.assert_array_equal(prediction.a_T_b, np.eye(4))
         np.testing.assert_allclose(np.sqrt(np.diag(prediction.covariance)), [0.4] * 3 + [2.0] * 3)
         refused = RelativePose(
@@ -177,23 +220,22 @@ def test_nothing_is_claimed_before_the_first_motion():
 
 
 def test_a_prediction_says_less_the_longer_nothing_was_measured():
-    model = MotionModel(MOUNT)
     step = se3_exp([0.0, 0.01, 0.0, 0.0, 0.0, 0.2])
-    model.update(frame(0), measured(step))
-    fresh = model.predict(None).covariance
+    model = moved(step)
+    fresh = model.predict(frame(2)).covariance
     before = np.diag(fresh)
-    for k in range(1, 4):
-        prediction = model.predict(None)
+    for k in range(2, 5):
+        prediction = model.predict(frame(k))
         model.update(frame(k), replace(measured(prediction.a_T_b, Verdict.REFUSED)))
-        now = model.predict(None)
-        np.testing.assert_array_equal(now.a_T_b, step)
+        now = model.predict(frame(k + 1))
+        np.testing.assert_allclose(now.a_T_b, step, atol=1e-12)
         assert (np.diag(now.covariance) > before).all()
         before = np.diag(now.covariance)
-    model.update(frame(4), measured(step))
-    np.testing.assert_array_equal(model.predict(None).covariance, fresh)
+    model.update(frame(5), measured(step))
+    np.testing.assert_array_equal(model.predict(frame(6)).covariance, fresh)
 
 
 def test_wheels_need_no_motion_before():
     model = MotionModel(MOUNT)
-    prediction = model.predict(model.odometry(frame(0, (0.2, 0.0, 0.0))))
+    prediction = model.predict(frame(0, (0.2, 0.0, 0.0)))
     assert np.sqrt(np.diag(prediction.covariance))[3:].max() < 0.2

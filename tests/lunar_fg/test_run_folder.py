@@ -14,6 +14,7 @@ from frontends.errors import InputError
 from frontends.geometry import se3_exp
 from frontends.measurements import Estimate
 from lunar_fg.evaluation import Accuracy, Metrics
+from lunar_fg.recorder import EstimateRecorder
 from lunar_fg.run_folder import RunFolder
 from lunar_fg.trajectory import Trajectory
 from lunar_fg.trajectory_io import read_trajectory
@@ -107,7 +108,7 @@ def test_an_aborted_run_keeps_what_it_had(tmp_path: Path) -> None:
     folder = RunFolder.create(tmp_path / "a", {})
 
     def run() -> None:
-        with folder.recorder() as recorder:
+        with EstimateRecorder(folder) as recorder:
             for estimate in estimates(5):
                 recorder.record(estimate)
             raise RuntimeError("the camera fell off")
@@ -123,7 +124,7 @@ def test_an_aborted_run_keeps_what_it_had(tmp_path: Path) -> None:
 def test_a_killed_run_keeps_what_it_had(tmp_path: Path) -> None:
     """Without the end of the ``with`` block: poses all, covariances up to the last save."""
     folder = RunFolder.create(tmp_path / "a", {})
-    recorder = folder.recorder()
+    recorder = EstimateRecorder(folder)
     for estimate in estimates(53):
         recorder.record(estimate)
     assert len(folder.read_trajectory()) == 53
@@ -133,7 +134,7 @@ def test_a_killed_run_keeps_what_it_had(tmp_path: Path) -> None:
 
 def test_a_run_without_frames_writes_no_trajectory(tmp_path: Path) -> None:
     folder = RunFolder.create(tmp_path / "a", {})
-    with folder.recorder():
+    with EstimateRecorder(folder):
         pass
     assert not folder.tum_path.exists()
     with pytest.raises(InputError, match="No such file"):

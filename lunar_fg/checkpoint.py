@@ -1,0 +1,104 @@
+"""What a run needs to go on that cannot be computed anew from its measurements."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass, field
+from typing import Any, Self
+
+import numpy as np
+
+from frontends.disparity_check import DisparityFinding
+from frontends.rectification import RectificationError
+from frontends.tracking import LandmarkMemory
+
+_MEMORY = ("landmark_id", "descriptors", "laplacian", "points", "covariance", "unseen")
+_FINDING = ("field_px", "border_px", "border_sigma_px", "chance", "significant", "pairs")
+
+
+@dataclass(frozen=True, slots=True)
+class Checkpoint:
+    """The state of the images' side after a frame.
+
+    Attributes
+    ----------
+    memory, next_id
+        Of the landmark tracker: the landmarks that may be seen again, with descriptors.
+    rectification, vertical_measured
+        What is corrected of the stereo pair, and whether its vertical field is known.
+    images
+        Digests of the last left and right image.
+    watching
+        Whether the disparity check still collects frames.
+    finding
+        What it found, once it has judged.
+    corrected
+        Whether the finding was applied.
+    """
+
+    memory: LandmarkMemory | None = None
+    next_id: int = 0
+    rectification: RectificationError = field(default_factory=RectificationError)
+    vertical_measured: bool = False
+    images: tuple[bytes, bytes] | None = None
+    watching: bool = True
+    finding: DisparityFinding | None = None
+    corrected: bool = False
+
+    def to_bytes(self) -> bytes:
+        """Pack it as a NumPy archive, bit for bit and without pickle."""
+        arrays: dict[str, Any] = {
+            "next_id": self.next_id,
+            "vertical_px": self.rectification.vertical_px,
+            "disparity_px": self.rectification.disparity_px,
+            "flags": np.array([self.vertical_measured, self.watching, self.corrected]),
+        }
+        for group, names, part in (
+            ("memory", _MEMORY, self.memory),
+            ("finding", _FINDING, self.finding),
+        ):
+            if part is not None:
+                arrays |= {f"{group}_{name}": getattr(part, name) for name in names}
+        if self.images is not None:
+            arrays["images"] = np.frombuffer(b"".join(self.images), np.uint8)
+        buffer = io.BytesIO()
+        np.savez(buffer, **arrays)
+        return buffer.getvalue()
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Self:
+        """Unpack it.
+
+        Raises
+        ------
+        ValueError, KeyError, OSError, EOFError
+            It is damaged.
+        """
+        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+            arrays = dict(archive)
+        vertical_measured, watching, corrected = map(bool, arrays["flags"])
+        memory = finding = images = None
+        if "images" in arrays:
+            left, right = np.split(arrays["images"], 2)
+            images = left.tobytes(), right.tobytes()
+        if "memory_landmark_id" in arrays:
+            memory = LandmarkMemory(*(arrays[f"memory_{name}"] for name in _MEMORY))
+        if "finding_pairs" in arrays:
+            finding = DisparityFinding(
+                arrays["finding_field_px"],
+                arrays["finding_border_px"],
+                arrays["finding_border_sigma_px"],
+                float(arrays["finding_chance"]),
+                bool(arrays["finding_significant"]),
+                int(arrays["finding_pairs"]),
+            )
+        return cls(
+            memory,
+            int(arrays["next_id"]),
+            RectificationError(arrays["vertical_px"], arrays["disparity_px"]),
+            vertical_measured,
+            images,
+            watching,
+            finding,
+            corrected,
+        )
