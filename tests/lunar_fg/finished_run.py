@@ -12,9 +12,9 @@ from frontends.geometry import pose, se3_exp, so3_exp
 from frontends.measurements import Estimate, StartPrior
 from lunar_fg.evaluation import Metrics, evaluate
 from lunar_fg.frame_table import FrameTable
-from lunar_fg.frontend import FrameReport
 from lunar_fg.graph.keyframe import Keyframe
 from lunar_fg.log import RunHeader, TraverseLog
+from lunar_fg.record import FrameReport
 from lunar_fg.route import PlannedRoute, RouteMonitor
 from lunar_fg.run_folder import RunFolder
 from lunar_fg.run_source import RunSource
