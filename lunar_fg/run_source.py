@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Self
 
@@ -19,7 +20,7 @@ class RunSource(BaseModel):
     ----------
     name
         Of the dataset.
-    dataset, images, traverse
+    dataset, images, traverse, calibration
         What `lunar_fg.datasets.open_dataset` was given, absolute.
     crs, origin_m
         Of the map frame; None for a local frame.
@@ -33,6 +34,7 @@ class RunSource(BaseModel):
     dataset: Path
     images: Path | None = None
     traverse: Path | None = None
+    calibration: tuple[Path, ...] = ()
     crs: str | None = None
     origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     ortho: Path | None = None
@@ -46,6 +48,7 @@ class RunSource(BaseModel):
         traverse: Path | None = None,
         ortho: Path | None = None,
         dem: Path | None = None,
+        calibration: Sequence[Path] = (),
     ) -> Self:
         """Source of a run over `dataset`; `ortho` and `dem` replace the dataset's own maps."""
         reference, orbital = dataset.map_reference, dataset.orbital
@@ -56,6 +59,7 @@ class RunSource(BaseModel):
             dataset=dataset.path.resolve(),
             images=None if images is None else images.resolve(),
             traverse=None if traverse is None else traverse.resolve(),
+            calibration=tuple(file.resolve() if file.exists() else file for file in calibration),
             crs=None if reference is None else reference.crs,
             origin_m=(0.0, 0.0, 0.0) if reference is None else reference.origin_m,
             ortho=None if ortho is None else ortho.resolve(),

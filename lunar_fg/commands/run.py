@@ -33,6 +33,13 @@ def run(
     route: Annotated[
         Path | None, typer.Option(help="Planned route, GeoJSON, to watch the drive against.")
     ] = None,
+    calibration: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Calibration of a folder of raw images: OpenCV, Kalibr, EuRoC, ROS, .tsai, "
+            "KITTI; twice for left and right."
+        ),
+    ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of all random choices.")] = None,
     overwrite: Overwrite = False,
     append: Annotated[
@@ -46,7 +53,7 @@ def run(
 
     Example: lunar-fg run my-traverse -o runs/first
     """
-    opened = open_dataset(dataset, images, traverse)
+    opened = open_dataset(dataset, images, traverse, calibration or ())
     sitting = Sitting(str(dataset.resolve()), _absolute(images), _absolute(traverse))
     if append:
         _refuse_with_append(config=config, seed=seed, overwrite=overwrite or None, route=route)
@@ -60,7 +67,7 @@ def run(
             settings = settings.model_copy(update={"seed": seed})
         monitor = None if route is None else watch(route, opened, settings.route)
         folder = RunFolder.create(output, settings, overwrite=overwrite)
-        RunSource.of(opened, images, traverse).write(folder)
+        RunSource.of(opened, images, traverse, calibration=calibration or ()).write(folder)
         if route is not None:
             folder.route_path.write_bytes(route.read_bytes())
         with navigating(folder, opened.name, len(opened)) as advance:

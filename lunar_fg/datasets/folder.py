@@ -14,7 +14,7 @@ from frontends.errors import InputError
 from frontends.measurements import StartPrior, StereoFrame, UnusableFrame
 from lunar_fg.datasets.association import attitude_at_frames, odometry_between_frames
 from lunar_fg.datasets.base import FloatArray, GroundTruth, MapReference, OrbitalFiles
-from lunar_fg.datasets.image_pairs import pair_by_name, read_frame_positions
+from lunar_fg.datasets.image_pairs import pair_by_name
 from lunar_fg.datasets.schema import MapModel, OrbitalModel, Traverse, nearest_known, read_traverse
 from lunar_fg.datasets.stereo_files import StereoFiles, StereoPair, check_sizes, find_white_level
 from lunar_fg.datasets.tables import (
@@ -99,8 +99,7 @@ class FolderReader:
         camera = traverse.camera.build()
         truth, dating = None, None
         if traverse_file is not None and not (path / FRAMES).is_file():
-            rows, dating = pair_by_name(path)
-            truth = read_frame_positions(path)
+            rows, dating, truth = pair_by_name(path)
         else:
             _check_names(path)
             rows = read_frames_csv(path / FRAMES)

@@ -19,13 +19,14 @@ FRAME_POSITIONS = "ground_truth.csv"
 PERIOD_S = 1.0
 
 
-def pair_by_name(path: Path) -> tuple[tuple[FrameRow, ...], str | None]:
+def pair_by_name(path: Path) -> tuple[tuple[FrameRow, ...], str | None, GroundTruth | None]:
     """Pair ``left/NAME`` with ``right/NAME``; the number in the name is the frame.
 
     Returns
     -------
-    rows, note
-        One row a pair, in the order of their numbers; what was assumed of the times.
+    rows, note, truth
+        One row a pair, in the order of their numbers; what was assumed of the times; the
+        position-only truth beside the images, where there is one, in a frame of its own.
 
     Raises
     ------
@@ -44,7 +45,12 @@ def pair_by_name(path: Path) -> tuple[tuple[FrameRow, ...], str | None]:
                 remedy="images are paired by name: add it, or remove its partner",
             )
     numbered = sorted((_number(path, name), name) for name in names["left"])
-    times = _times(path)
+    table = _frame_positions(path)
+    truth = None if table is None else _truth(table)
+    times = None
+    if table is not None and truth is not None:
+        frames = table.numbers("frame").astype(np.int64).tolist()
+        times = dict(zip(frames, truth.stamp_s.tolist(), strict=True))
     rows = []
     for line, (frame, name) in enumerate(numbered, start=1):
         if times is not None and frame not in times:
@@ -56,14 +62,10 @@ def pair_by_name(path: Path) -> tuple[tuple[FrameRow, ...], str | None]:
         stamp = PERIOD_S * frame if times is None else times[frame]
         rows.append(FrameRow(line, frame, stamp, f"left/{name}", f"right/{name}"))
     note = None if times is not None else f"frames are taken to be {PERIOD_S:g} s apart"
-    return tuple(rows), note
+    return tuple(rows), note, truth
 
 
-def read_frame_positions(path: Path) -> GroundTruth | None:
-    """Position-only truth beside the images, where there is one, in a frame of its own."""
-    table = _frame_positions(path)
-    if table is None:
-        return None
+def _truth(table: Table) -> GroundTruth:
     has_height = "z_m" in table.columns
     z = table.numbers("z_m") if has_height else np.zeros(len(table))
     position = np.column_stack([table.numbers("x_m"), table.numbers("y_m"), z])
@@ -74,14 +76,6 @@ def _frame_positions(path: Path) -> Table | None:
     if not (path / FRAME_POSITIONS).is_file():
         return None
     return read_csv(path / FRAME_POSITIONS, ("frame", "time_s", "x_m", "y_m"), ("z_m",))
-
-
-def _times(path: Path) -> dict[int, float] | None:
-    table = _frame_positions(path)
-    if table is None:
-        return None
-    frames = table.numbers("frame").astype(np.int64).tolist()
-    return dict(zip(frames, table.increasing("time_s").tolist(), strict=True))
 
 
 def _images(folder: Path) -> list[str]:

@@ -97,8 +97,8 @@ class KittiReader:
             StereoPair(*row) for row in zip(numbers, stamps.tolist(), left, right, strict=True)
         )
         calibration = path / "calib.txt"
-        matrices = _read_calibration(calibration, left_name, right_name)
-        camera = _camera(calibration, matrices, _first_size(left))
+        matrices = read_projections(calibration, left_name, right_name)
+        camera = camera_of(calibration, matrices, _first_size(left))
         check_sizes(camera, pairs, calibration, "image size")
         white_level, note = find_white_level(pairs)
         return KittiDataset(
@@ -175,7 +175,7 @@ def _check_count(file: Path, rows: int, images: int) -> None:
         )
 
 
-def _read_calibration(file: Path, left: str, right: str) -> tuple[FloatArray, FloatArray]:
+def read_projections(file: Path, left: str, right: str) -> tuple[FloatArray, FloatArray]:
     """Left and right 3x4 projections: official ``P0: ...`` lines, or 24 bare numbers."""
     named: dict[str, FloatArray] = {}
     bare: list[float] = []
@@ -222,9 +222,10 @@ def _first_size(files: list[Path]) -> tuple[int, int]:
     )
 
 
-def _camera(
+def camera_of(
     file: Path, matrices: tuple[FloatArray, FloatArray], size: tuple[int, int]
 ) -> StereoCamera:
+    """Camera of a left and a right 3x4 projection; `file` is named in errors."""
     left, right = matrices
     upper_triangle = np.array([[left[0, 0], 0.0, left[0, 2]], [0.0, left[1, 1], left[1, 2]],
                                [0.0, 0.0, 1.0]])  # fmt: skip

@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 from frontends.errors import InputError
 from lunar_fg.datasets.base import Dataset, Reader
+from lunar_fg.datasets.calibrated_images import open_calibrated
+from lunar_fg.datasets.euroc import EurocReader
 from lunar_fg.datasets.folder import TRAVERSE, FolderReader
 from lunar_fg.datasets.kitti import PAIRS, KittiReader
+from lunar_fg.datasets.raw_pairs import has_pairs
 from lunar_fg.datasets.schema import nearest_known
 
 #: Every format; the first that detects a folder opens it.
-READERS: tuple[Reader, ...] = (FolderReader(), KittiReader())
+READERS: tuple[Reader, ...] = (FolderReader(), EurocReader(), KittiReader())
 
 
 def open_dataset(
     path: Path | str,
     images_root: Path | str | None = None,
     traverse: Path | str | None = None,
+    calibration: Sequence[Path | str] = (),
 ) -> Dataset:
     """Open a dataset, whatever its format.
 
@@ -31,6 +36,9 @@ def open_dataset(
         somewhere else (folder format only).
     traverse
         ``traverse.yaml`` that describes a folder of images without one.
+    calibration
+        Calibration of a folder of raw images: one file, or the left and the right
+        camera's, in any format of `lunar_fg.datasets.calibrations`.
 
     Returns
     -------
@@ -58,6 +66,15 @@ def open_dataset(
         raise InputError(
             "may not be read", source=folder, field="dataset", remedy="check the folder's rights"
         )
+    if calibration:
+        if traverse is not None or images_root is not None:
+            raise InputError(
+                "--calibration goes with a folder of raw images, nothing else",
+                source=folder,
+                field="dataset",
+                remedy="leave --traverse and --images out",
+            )
+        return open_calibrated(folder, [Path(file) for file in calibration])
     if traverse is not None:
         root = None if images_root is None else Path(images_root)
         return FolderReader().open(folder, root, Path(traverse))
@@ -90,7 +107,12 @@ def _nearest_thing(folder: Path) -> str:
         if (folder / name).is_dir() and any(reader.detects(folder / name) for reader in READERS):
             return f"give its sub-folder {name}, which is a dataset"
     if {"left", "right"} <= set(entries):
-        return "left and right are there: describe them with --traverse traverse.yaml"
+        return (
+            "left and right are there: describe them with --traverse traverse.yaml, or give "
+            "--calibration FILE"
+        )
+    if has_pairs(folder):
+        return "stereo images are there: give --calibration FILE"
     known = [TRAVERSE, "frames.csv", "calib.txt", *(name for pair in PAIRS for name in pair[:2])]
     for name in entries:
         if name in known:

@@ -16,6 +16,7 @@ from frontends.measurements import (
     UnusableFrame,
     WheelOdometry,
 )
+from frontends.undistort import StereoRectifier
 from lunar_fg.datasets.images import darkness, read_grey, read_header, read_peak
 
 #: Pairs that are looked at to find how many of 16 bits are in use.
@@ -45,12 +46,15 @@ class StereoFiles:
         Value of 16-bit images that becomes 255.
     sun
         Direction to the Sun, given to every frame.
+    rectifier
+        For raw images: what makes them those of `camera`.
     """
 
     camera: StereoCamera
     pairs: tuple[StereoPair, ...]
     white_level: int = 255
     sun: SunDirection | None = None
+    rectifier: StereoRectifier | None = None
 
     def __len__(self) -> int:
         """Count the pairs."""
@@ -66,6 +70,8 @@ class StereoFiles:
         except InputError as error:
             reason = f"{error.source}: {error.problem}"
             return UnusableFrame(pair.index, pair.stamp_s, reason, pair.odometry, pair.attitude)
+        if self.rectifier is not None:
+            left, right = self.rectifier.rectify(left, right)
         return StereoFrame(
             pair.index,
             pair.stamp_s,

@@ -23,6 +23,10 @@ _FLOAT = re.compile(
 )
 
 
+#: What OpenCV's files hold beyond YAML: their directive, and tags of types known from the keys.
+_OPENCV_MARKS = re.compile(r"\A%YAML:1\.0[^\n]*|(?<=:) *!!opencv-(?:nd-)?matrix\b")
+
+
 def _is_long_and_plain(event: yaml.ScalarEvent) -> bool:
     return event.style is None and len(event.value) > MAX_PLAIN_CHARACTERS
 
@@ -68,6 +72,15 @@ class _StrictLoader(yaml.SafeLoader):
 _StrictLoader.add_implicit_resolver("tag:yaml.org,2002:float", _FLOAT, list("-+0123456789."))
 
 
+def read_opencv_yaml(path: Path) -> object:
+    """Content of a YAML file in OpenCV's dialect: ``%YAML:1.0`` and ``!!opencv-matrix``.
+
+    Both are blanked, so that line numbers stay; plain YAML passes as it is. Raises what
+    `read_yaml` raises.
+    """
+    return _parse(_OPENCV_MARKS.sub("", _read_text(path)), path)
+
+
 def read_yaml(path: Path) -> object:
     """Content of a small YAML file as plain Python values.
 
@@ -77,21 +90,28 @@ def read_yaml(path: Path) -> object:
         When the file cannot be read, is larger than 1 MB, is no YAML, or uses tags,
         aliases, repeated keys or deep nesting.
     """
+    return _parse(_read_text(path), path)
+
+
+def _read_text(path: Path) -> str:
     try:
         size = path.stat().st_size
         if size > MAX_BYTES:
             raise InputError(
                 f"has {size} bytes, more than {MAX_BYTES}",
                 source=path,
-                remedy="give a hand-written traverse.yaml",
+                remedy="give a hand-written file",
             )
-        text = path.read_bytes().decode("utf-8-sig")
+        return path.read_bytes().decode("utf-8-sig")
     except OSError as error:
         raise InputError(
             f"cannot be read: {error.strerror}", source=path, remedy="check the path and its rights"
         ) from error
     except UnicodeDecodeError as error:
         raise InputError("is not UTF-8 text", source=path, remedy="save it as UTF-8") from error
+
+
+def _parse(text: str, path: Path) -> object:
     loader: _StrictLoader | None = None
     try:
         loader = _StrictLoader(text)
