@@ -18,6 +18,7 @@ from lunar_fg.commands.mosaic import mosaic
 from lunar_fg.commands.optimize import optimize
 from lunar_fg.commands.replay import replay
 from lunar_fg.commands.resume import resume
+from lunar_fg.commands.report import report
 from lunar_fg.commands.run import run
 from lunar_fg.commands.shared import err, guarded, out
 from lunar_fg.commands.warmup import warmup
@@ -57,6 +58,7 @@ app.command()(guarded(match))
 app.command()(guarded(campaign))
 app.command()(guarded(geo))
 app.command()(guarded(mosaic))
+app.command()(guarded(report))
 
 if __name__ == "__main__":
     app()

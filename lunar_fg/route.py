@@ -22,6 +22,7 @@ import logging
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
+from pathlib import Path
 
 import numpy as np
 import shapely
@@ -321,6 +322,17 @@ def states_text(states: Sequence[RouteState]) -> str:
     writer.writeheader()
     writer.writerows(asdict(state) for state in states)
     return buffer.getvalue()
+
+
+def route_columns(path: Path) -> dict[str, FloatArray] | None:
+    """Columns of the CSV that `states_text` made; None where there is none, or it is damaged."""
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+        names = [field.name for field in fields(RouteState)]
+        return {name: np.array([float(row[name]) for row in rows]) for name in names}
+    except (OSError, ValueError, KeyError, TypeError, csv.Error):
+        return None
 
 
 def _planar(estimate: Estimate) -> tuple[FloatArray, float, FloatArray]:

@@ -88,32 +88,28 @@ def nees(pair: Pair, frame: NeesFrame) -> Nees:
     UndefinedMetricError
         Without covariances, without a common frame, or with fewer than two poses.
     """
-    if pair.estimate.covariance is None:
-        raise UndefinedMetricError("the estimate has no covariance")
-    if len(pair) < 2:
-        raise UndefinedMetricError("fewer than two poses have truth")
-    poses, covariance = pair.estimate.map_T_rover, pair.estimate.covariance
-    if frame is NeesFrame.FROM_START:
-        if isinstance(pair.truth, PositionTrack):
-            raise UndefinedMetricError(
-                "the truth has positions only and is not stated to be in the same map, so no "
-                "common frame is known without a fit that would hide the errors"
-            )
-        poses, covariance = _relative_to_start(poses, covariance)
-    factors = _cholesky(covariance[1:])
-    if isinstance(pair.truth, PositionTrack):
-        errors, weights = _position_errors(pair, poses[1:], covariance[1:], factors)
-    else:
-        truth = pair.true_poses
-        if frame is NeesFrame.FROM_START:
-            truth = inverse(truth[0]) @ truth
-        motions = inverse(poses[1:]) @ truth[1:]
-        logs = np.array([se3_log(motion) for motion in motions])
-        errors = np.asarray(np.linalg.solve(factors, logs[..., None])[..., 0])
-        weights = np.tile(np.eye(6), (len(errors), 1, 1))
+    errors, poses, factors, weights = _whitened(pair, frame)
     dof = errors.shape[1]
-    n = _independent(poses[1:], factors, weights)
+    n = _independent(poses, factors, weights)
     return _with_band(float((errors**2).sum(axis=1).mean() / dof), n, dof, len(errors))
+
+
+def nees_profile(pair: Pair, frame: NeesFrame) -> tuple[FloatArray, int]:
+    """NEES per degree of freedom of every pose but the first, (N - 1,), and the degrees.
+
+    Raises
+    ------
+    UndefinedMetricError
+        As for `nees`.
+    """
+    errors, *_ = _whitened(pair, frame)
+    return np.asarray((errors**2).mean(axis=1)), errors.shape[1]
+
+
+def single_pose_band(dof: int) -> tuple[float, float]:
+    """95 % of the poses have a NEES per degree of freedom in this band when honest."""
+    lower, upper = chi2.interval(BAND, dof)
+    return float(lower) / dof, float(upper) / dof
 
 
 def coverage(pair: Pair, frame: NeesFrame, sigmas: float = 3.0) -> NDArray[np.bool_]:
@@ -153,6 +149,36 @@ def pooled(runs: Sequence[Nees]) -> Nees:
 def _with_band(mean: float, n: float, dof: int, poses: int) -> Nees:
     lower, upper = (float(bound) / (dof * n) for bound in chi2.interval(BAND, dof * n))
     return Nees(mean, lower, upper, n, dof, poses)
+
+
+def _whitened(
+    pair: Pair, frame: NeesFrame
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Whitened errors (N, d); poses, covariance factors and weights for `_independent`."""
+    if pair.estimate.covariance is None:
+        raise UndefinedMetricError("the estimate has no covariance")
+    if len(pair) < 2:
+        raise UndefinedMetricError("fewer than two poses have truth")
+    poses, covariance = pair.estimate.map_T_rover, pair.estimate.covariance
+    if frame is NeesFrame.FROM_START:
+        if isinstance(pair.truth, PositionTrack):
+            raise UndefinedMetricError(
+                "the truth has positions only and is not stated to be in the same map, so no "
+                "common frame is known without a fit that would hide the errors"
+            )
+        poses, covariance = _relative_to_start(poses, covariance)
+    factors = _cholesky(covariance[1:])
+    if isinstance(pair.truth, PositionTrack):
+        errors, weights = _position_errors(pair, poses[1:], covariance[1:], factors)
+    else:
+        truth = pair.true_poses
+        if frame is NeesFrame.FROM_START:
+            truth = inverse(truth[0]) @ truth
+        motions = inverse(poses[1:]) @ truth[1:]
+        logs = np.array([se3_log(motion) for motion in motions])
+        errors = np.asarray(np.linalg.solve(factors, logs[..., None])[..., 0])
+        weights = np.tile(np.eye(6), (len(errors), 1, 1))
+    return errors, poses[1:], factors, weights
 
 
 def _relative_to_start(poses: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
