@@ -17,8 +17,8 @@ from lunar_fg.commands.match import match
 from lunar_fg.commands.mosaic import mosaic
 from lunar_fg.commands.optimize import optimize
 from lunar_fg.commands.replay import replay
-from lunar_fg.commands.resume import resume
 from lunar_fg.commands.report import report
+from lunar_fg.commands.resume import resume
 from lunar_fg.commands.run import run
 from lunar_fg.commands.shared import err, guarded, out
 from lunar_fg.commands.warmup import warmup
