@@ -112,16 +112,13 @@ class StereoCamera:
         The localisation error `sigma_px` (both axes of the left image) and the
         disparity error are independent; both are 1-sigma, px, (N,).
         """
-        n = len(u_left)
         z = self.depth(disparity_px)
-        jacobian = np.zeros((n, 3, 3))
-        jacobian[:, 0, 0] = z / self.fx
-        jacobian[:, 1, 1] = z / self.fy
-        jacobian[:, 0, 2] = -(u_left - self.cx) * z / (self.fx * disparity_px)
-        jacobian[:, 1, 2] = -(v - self.cy) * z / (self.fy * disparity_px)
-        jacobian[:, 2, 2] = -z / disparity_px
-        variance = np.stack([sigma_px**2, sigma_px**2, sigma_disparity_px**2], axis=-1)
-        return np.asarray(np.einsum("nij,nj,nkj->nik", jacobian, variance, jacobian))
+        ray = np.stack([(u_left - self.cx) / self.fx, (v - self.cy) / self.fy, np.ones_like(z)], -1)
+        along = ray * (z * sigma_disparity_px / disparity_px)[:, None]
+        covariance = along[:, :, None] * along[:, None, :]
+        covariance[:, 0, 0] += (z * sigma_px / self.fx) ** 2
+        covariance[:, 1, 1] += (z * sigma_px / self.fy) ** 2
+        return np.asarray(covariance)
 
     def project(self, points_cam: FloatArray) -> FloatArray:
         """Left u, right u, common v of points in left-camera axes (eqs. 4, 5).

@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import poisson
+from scipy.special import pdtrc
 
 FloatArray = NDArray[np.float64]
 
@@ -46,4 +46,4 @@ def false_alarms(distances2: FloatArray, gate: float) -> float:
         return math.inf
     by_chance = (shell + 1.0) / _SHELL
     samples = math.comb(len(distances2), _SAMPLE)
-    return float(samples * poisson.sf(agree - _SAMPLE - 1, by_chance))
+    return float(samples * pdtrc(agree - _SAMPLE - 1, by_chance))

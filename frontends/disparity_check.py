@@ -9,7 +9,7 @@ motion is eliminated and the information of many frame pairs added up.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -19,14 +19,10 @@ from scipy.stats import chi2 as chi2_distribution
 
 from frontends.camera import StereoCamera
 from frontends.measurements import StereoObservations
-from frontends.rectification import (
-    DISPARITY_TERMS,
-    RectificationError,
-    disparity_basis,
-    within_range,
-)
+from frontends.rectification import DISPARITY_TERMS, disparity_basis, within_range
 from frontends.relative import rigid_transform
-from frontends.reprojection import TwoViewProblem, solve_motion
+from frontends.reprojection import TwoViewProblem
+from frontends.stereo import StereoConfig
 from frontends.tracking import common_landmarks
 
 FloatArray = NDArray[np.float64]
@@ -101,6 +97,8 @@ class DisparityCheck:
         The rectified pair.
     config
         Settings.
+    max_depth_sigma
+        Useful range, see `frontends.stereo.StereoConfig`; its default by default.
     """
 
     #: A pair of frames counts when its landmarks moved by this much in the image, px.
@@ -110,10 +108,17 @@ class DisparityCheck:
     _LEAST_SHARED = 30
     _LONGEST_GAP = 10
     _KERNEL_SIGMA = 2.0
-    _MAX_DEPTH_SIGMA = 0.25
+    #: Solved: the field's last step at the image border, in `floor_px`.
+    _LAST_STEP_FLOORS = 0.1
 
-    def __init__(self, camera: StereoCamera, config: DisparityCheckConfig | None = None) -> None:
+    def __init__(
+        self,
+        camera: StereoCamera,
+        config: DisparityCheckConfig | None = None,
+        max_depth_sigma: float | None = None,
+    ) -> None:
         self.camera = camera
+        self.max_depth_sigma = max_depth_sigma or StereoConfig().max_depth_sigma
         self.config = config or DisparityCheckConfig()
         self._frames: deque[StereoObservations] = deque(maxlen=self._LONGEST_GAP + 1)
         self._pairs: list[tuple[StereoObservations, StereoObservations]] = []
@@ -145,9 +150,7 @@ class DisparityCheck:
         """
         if not self._pairs:
             return None
-        camera = self.camera
-        side = np.array([0.0, camera.width - 1.0]), np.array([0.0, camera.height - 1.0])
-        scale = disparity_basis(camera, *side).max(axis=0)
+        scale = self._border_scale()
         solution = self._solve()
         if solution is None:
             return None
@@ -165,8 +168,15 @@ class DisparityCheck:
             len(self._pairs),
         )
 
+    def _border_scale(self) -> FloatArray:
+        """Largest value of each term in the image, (3,)."""
+        camera = self.camera
+        side = np.array([0.0, camera.width - 1.0]), np.array([0.0, camera.height - 1.0])
+        return np.asarray(disparity_basis(camera, *side).max(axis=0))
+
     def _solve(self) -> tuple[FloatArray, FloatArray] | None:
         """Coefficients of the field over all pairs, and their covariance, where they tell."""
+        enough = self._LAST_STEP_FLOORS * self.config.floor_px / self._border_scale()
         field = np.zeros(DISPARITY_TERMS)
         motions: list[FloatArray | None] = [None] * len(self._pairs)
         covariance: FloatArray = np.zeros((DISPARITY_TERMS, DISPARITY_TERMS))
@@ -175,13 +185,13 @@ class DisparityCheck:
             gradient = np.zeros(DISPARITY_TERMS)
             ratio: list[float] = []
             for k, pair in enumerate(self._pairs):
-                problem = self._problem(*pair, field)
+                problem, points_a, points_b = self._problem(*pair, field)
                 if len(problem) < self._LEAST_SHARED:
                     continue
                 start = motions[k]
                 if start is None:
-                    start = _first_motion(problem, self.camera)
-                motion, _, _ = solve_motion(problem, start, kernel_sigma=self._KERNEL_SIGMA)
+                    start = _first_motion(points_a, points_b)
+                motion = problem.solve(start, self._KERNEL_SIGMA)
                 motions[k] = motion
                 whole, slope, chi2 = problem.linearise(motion, self._KERNEL_SIGMA)
                 spread = np.linalg.eigvalsh(whole[:6, :6])
@@ -199,50 +209,42 @@ class DisparityCheck:
             # a frame enters two pairs, once as the earlier and once as the later one
             inflation = 2.0 * max(1.0, float(np.median(ratio)))
             covariance = np.asarray(inflation * np.linalg.inv(information), dtype=np.float64)
-            if float(np.abs(step).max()) < 1e-3:
+            if (np.abs(step) < enough).all():
                 break
         return field, covariance
 
     def _problem(
         self, a: StereoObservations, b: StereoObservations, field: FloatArray
-    ) -> TwoViewProblem:
-        """Two-view problem with the disparity coefficients as further unknowns.
+    ) -> tuple[TwoViewProblem, FloatArray, FloatArray]:
+        """Two-view problem with the disparity coefficients as further unknowns; its points.
 
         With D = D_measured - basis c, the point moves by X / D per px of error, and the
         disparity measured in b is the point's own plus the error there.
         """
         camera = self.camera
-        error = RectificationError(disparity_px=field)
         basis_a = disparity_basis(camera, a.u_left, a.v)
         basis_b = disparity_basis(camera, b.u_left, b.v)
-        true_a = a.disparity_px - basis_a @ field
-        true_b = b.disparity_px - basis_b @ field
-        limit = self._MAX_DEPTH_SIGMA
-        keep = within_range(true_a, a.sigma_disparity_px, limit)
-        keep &= within_range(true_b, b.sigma_disparity_px, limit)
-        corrected_a = error.correct(camera, a.select(keep), limit)
-        base = TwoViewProblem.of_landmarks(
-            camera,
-            corrected_a.points_cam,
-            corrected_a.points_covariance,
-            error.correct(camera, b.select(keep), limit),
+        disparity_a = a.disparity_px - basis_a @ field
+        disparity_b = b.disparity_px - basis_b @ field
+        keep = within_range(disparity_a, a.sigma_disparity_px, self.max_depth_sigma)
+        keep &= within_range(disparity_b, b.sigma_disparity_px, self.max_depth_sigma)
+        a, b, disparity_a, disparity_b = (
+            a.select(keep), b.select(keep), disparity_a[keep], disparity_b[keep]
+        )  # fmt: skip
+        points_a = camera.triangulate(a.u_left, a.v, disparity_a)
+        points_b = camera.triangulate(b.u_left, b.v, disparity_b)
+        covariance_a = camera.triangulation_covariance(
+            a.u_left, a.v, disparity_a, a.sigma_px, a.sigma_disparity_px
         )
-        per_px = corrected_a.points_cam / true_a[keep][:, None]
-        return TwoViewProblem(
-            camera,
-            base.points_a,
-            base.covariance_a,
-            base.observed_b,
-            base.sigma_px,
-            base.sigma_disparity_px,
-            np.ascontiguousarray(per_px[:, :, None] * basis_a[keep][:, None, :]),
-            np.ascontiguousarray(basis_b[keep]),
-        )
+        per_px = points_a / disparity_a[:, None]
+        of_points = per_px[:, :, None] * basis_a[keep][:, None, :]
+        terms = np.concatenate([of_points, basis_b[keep][:, None, :]], axis=1)
+        seen_b = replace(b, u_right=b.u_left - disparity_b)
+        problem = TwoViewProblem.of_landmarks(camera, points_a, covariance_a, seen_b, terms)
+        return problem, points_a, points_b
 
 
-def _first_motion(problem: TwoViewProblem, camera: StereoCamera) -> FloatArray:
-    """Start of the least squares: rigid transform of the triangulated points (eq. 6)."""
-    u, v, disparity = problem.observed_b.T
-    nearer = np.argsort(-disparity)[: max(3, len(problem) // 2)]
-    points_b = camera.triangulate(u, v, disparity)
-    return rigid_transform(problem.points_a[nearer], points_b[nearer])
+def _first_motion(points_a: FloatArray, points_b: FloatArray) -> FloatArray:
+    """Start of the least squares: rigid transform of the nearer half of the points (eq. 6)."""
+    nearer = np.argsort(points_b[:, 2])[: max(3, len(points_b) // 2)]
+    return rigid_transform(points_a[nearer], points_b[nearer])

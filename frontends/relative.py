@@ -19,7 +19,7 @@ from frontends.consensus import false_alarms
 from frontends.geometry import adjoint, inverse, transform_points
 from frontends.jit import kernel
 from frontends.measurements import RelativePose, StereoObservations, Verdict
-from frontends.reprojection import Part, TwoViewProblem, solve_motion
+from frontends.reprojection import TwoViewProblem
 
 FloatArray = NDArray[np.float64]
 
@@ -148,7 +148,7 @@ class RelativePositioning:
         if count < needed:
             return _refuse(prediction, count, f"{count} tracked landmarks, {needed} are needed")
         problem = TwoViewProblem.of_landmarks(self.camera, points_a, covariance_a, observations_b)
-        b_T_a, inlier = self._ransac(problem, observations_b.points_cam, prediction)
+        b_T_a, inlier = self._ransac(problem, points_a, observations_b.points_cam, prediction)
         if inlier.sum() < needed:
             return _refuse(
                 prediction,
@@ -175,7 +175,11 @@ class RelativePositioning:
         return self._refine(problem, observations_b, start, everything, prediction)
 
     def _ransac(
-        self, problem: TwoViewProblem, points_b: FloatArray, prediction: MotionPrediction
+        self,
+        problem: TwoViewProblem,
+        points_a: FloatArray,
+        points_b: FloatArray,
+        prediction: MotionPrediction,
     ) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Motion with the smallest truncated cost, locally optimised, and its inliers."""
         count = len(problem)
@@ -187,18 +191,15 @@ class RelativePositioning:
         while tried < min(wanted, self.config.max_hypotheses):
             sample = random.choice(count, size=3, replace=False)
             tried += 1
-            candidate = rigid_transform(problem.points_a[sample], points_b[sample])
+            candidate = rigid_transform(points_a[sample], points_b[sample])
             candidate_cost, candidate_inlier = self._score(problem, candidate)
             if candidate_cost >= cost and tried > 1:
                 continue
             for _ in range(2):
                 if candidate_inlier.sum() < 6:
                     break
-                improved, _, _ = solve_motion(
-                    problem.select(candidate_inlier),
-                    candidate,
-                    kernel_sigma=self.config.kernel_sigma,
-                    iterations=3,
+                improved = problem.solve(
+                    candidate, self.config.kernel_sigma, iterations=3, among=candidate_inlier
                 )
                 improved_cost, improved_inlier = self._score(problem, improved)
                 if improved_cost >= candidate_cost:
@@ -217,7 +218,7 @@ class RelativePositioning:
         return best, inlier
 
     def _score(self, problem: TwoViewProblem, b_T_a: FloatArray) -> tuple[float, NDArray[np.bool_]]:
-        chi2 = problem.linearise(b_T_a, self.config.kernel_sigma, part=Part.DISTANCES)[2]
+        chi2 = problem.distances2(b_T_a)
         return float(np.minimum(chi2, self._gate).sum()), chi2 < self._gate
 
     def _refine(
@@ -230,15 +231,14 @@ class RelativePositioning:
     ) -> RelativePose:
         count = len(observations_b)
         sigma = self.config.kernel_sigma
-        b_T_a, _, _ = solve_motion(problem.select(inlier), b_T_a, kernel_sigma=sigma)
+        b_T_a = problem.solve(b_T_a, sigma, among=inlier)
         # Residuals up to twice the gate's size still belong to the noise when that is larger
         # than stated; what is farther off is wrong.
-        chi2 = problem.linearise(b_T_a, sigma, part=Part.DISTANCES)[2]
-        plausible = problem.select(chi2 < 4.0 * self._gate)
-        if len(plausible) < self._needed:
+        plausible = problem.distances2(b_T_a) < 4.0 * self._gate
+        if plausible.sum() < self._needed:
             return _refuse(prediction, count, "the motion does not hold after refinement")
-        b_T_a, _, _ = solve_motion(plausible, b_T_a, kernel_sigma=sigma)
-        chi2 = problem.linearise(b_T_a, sigma, part=Part.DISTANCES)[2]
+        b_T_a = problem.solve(b_T_a, sigma, among=plausible)
+        chi2 = problem.distances2(b_T_a)
         inlier = chi2 < self._gate
         if inlier.sum() < self._needed:
             return _refuse(prediction, count, "the motion does not hold after refinement")
@@ -248,7 +248,7 @@ class RelativePositioning:
                 count,
                 f"{int(inlier.sum())} of {count} tracked landmarks agree, as many as by chance",
             )
-        covariance_b_T_a = plausible.motion_covariance(b_T_a, sigma)
+        covariance_b_T_a = problem.motion_covariance(b_T_a, sigma, among=plausible)
         if covariance_b_T_a is None:
             return _refuse(prediction, count, "the landmarks do not fix all six motions")
         # right perturbation of the inverse: Ad of b_T_a, the sign squares away

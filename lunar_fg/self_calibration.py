@@ -40,7 +40,7 @@ class SelfCalibration:
         self._config = config
         self._max_depth_sigma = max_depth_sigma
         self._check: DisparityCheck | None = (
-            None if config.mode == "off" else DisparityCheck(camera, config)
+            None if config.mode == "off" else DisparityCheck(camera, config, max_depth_sigma)
         )
         self._keyframes: list[Keyframe] = []
         self.finding: DisparityFinding | None = None

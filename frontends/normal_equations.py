@@ -1,0 +1,410 @@
+"""The sums of `frontends.reprojection` in compiled code, and Gauss-Newton on them.
+
+Landmarks come in blocks of 64, one quantity a row of 64 numbers, at constant offsets in a flat
+array: the compiler then works on several landmarks at a time. With ``P`` the derivative of the
+projection by the landmark X and ``S`` the covariance of the residual r, a motion's row is
+``[X x P_i, P_i]``, so that all sums follow from ``M = P^T S^-1 P`` and ``q = P^T S^-1 r``.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frontends.jit import kernel, njit
+
+FloatArray = NDArray[np.float64]
+
+BLOCK = 64
+#: Rows of a block: X (3), its covariance (6: xx, xy, xz, yy, yz, zz), u, v, disparity seen from
+#: the principal point (3), their variances (2).
+ROWS = 14
+_STRIDE = ROWS * BLOCK
+#: Rows of the scratch: whitened P (9), inverse variances of the whitened residual (3), the
+#: residual (3), its squared length, weights of matrix and gradient (2), M (6), q (3).
+_SCRATCH = 27 * BLOCK
+_INVERSE, _RESIDUAL, _DISTANCE, _WEIGHT, _M, _Q = (row * BLOCK for row in (9, 12, 15, 16, 18, 24))
+
+#: Points nearer than this to the camera plane have no usable projection, m.
+_NEAREST_M = 1e-3
+#: Squared distance given to landmarks behind the camera: never an inlier, and finite, as
+#: the compiled kernel's arithmetic asks for.
+_FAR_OFF = 1e12
+#: Least variance left after elimination, px^2: rounding must not make it negative.
+_LEAST_VARIANCE = 1e-9
+#: A Gauss-Newton step beyond this (rad, m) comes from a singular system.
+_LARGEST_STEP = 1e3
+#: Pivots below this share of the diagonal are rounding.
+_LEAST_PIVOT = 1e-14
+#: Converged: the squared length of the step in sigmas of the motion.
+_LEAST_STEP2 = 1e-8
+_SMALL_ANGLE_RAD = 1e-4
+
+
+@njit
+def _whiten(
+    camera: FloatArray, motion: FloatArray, data: FloatArray, first: int, scratch: FloatArray
+) -> None:
+    """Residuals of one block of landmarks, made independent, and their derivatives."""
+    fx, fy, fb = camera[0], camera[1], camera[2]
+    r00, r01, r02, tx = motion[0, 0], motion[0, 1], motion[0, 2], motion[0, 3]
+    r10, r11, r12, ty = motion[1, 0], motion[1, 1], motion[1, 2], motion[1, 3]
+    r20, r21, r22, tz = motion[2, 0], motion[2, 1], motion[2, 2], motion[2, 3]
+    start = np.uint64(first * _STRIDE)
+    for j in range(np.uint64(BLOCK)):
+        at = start + j
+        px, py, pz = data[at], data[at + np.uint64(BLOCK)], data[at + np.uint64(2 * BLOCK)]
+        x = r00 * px + r01 * py + r02 * pz + tx
+        y = r10 * px + r11 * py + r12 * pz + ty
+        z = r20 * px + r21 * py + r22 * pz + tz
+        in_front = z >= _NEAREST_M
+        inverse_z = 1.0 / (z if in_front else _NEAREST_M)
+        u, v, d = fx * x * inverse_z, fy * y * inverse_z, fb * inverse_z
+        f, g, h = fx * inverse_z, fy * inverse_z, inverse_z * d
+        u_z, v_z = inverse_z * u, inverse_z * v
+        a0, a1, a2 = f * r00 - u_z * r20, f * r01 - u_z * r21, f * r02 - u_z * r22
+        b0, b1, b2 = g * r10 - v_z * r20, g * r11 - v_z * r21, g * r12 - v_z * r22
+        c0, c1, c2 = -h * r20, -h * r21, -h * r22
+        xx, xy = data[at + np.uint64(3 * BLOCK)], data[at + np.uint64(4 * BLOCK)]
+        xz, yy = data[at + np.uint64(5 * BLOCK)], data[at + np.uint64(6 * BLOCK)]
+        yz, zz = data[at + np.uint64(7 * BLOCK)], data[at + np.uint64(8 * BLOCK)]
+        variance = data[at + np.uint64(12 * BLOCK)]
+        k0, k1, k2 = xx * a0 + xy * a1 + xz * a2, xy * a0 + yy * a1 + yz * a2, 0.0
+        k2 = xz * a0 + yz * a1 + zz * a2
+        s00 = a0 * k0 + a1 * k1 + a2 * k2 + variance
+        s01 = b0 * k0 + b1 * k1 + b2 * k2
+        s02 = c0 * k0 + c1 * k1 + c2 * k2
+        k0, k1 = xx * b0 + xy * b1 + xz * b2, xy * b0 + yy * b1 + yz * b2
+        k2 = xz * b0 + yz * b1 + zz * b2
+        s11 = b0 * k0 + b1 * k1 + b2 * k2 + variance
+        s12 = c0 * k0 + c1 * k1 + c2 * k2
+        k0, k1 = xx * c0 + xy * c1 + xz * c2, xy * c0 + yy * c1 + yz * c2
+        k2 = xz * c0 + yz * c1 + zz * c2
+        s22 = c0 * k0 + c1 * k1 + c2 * k2 + data[at + np.uint64(13 * BLOCK)]
+        # S = L D L^T; the inverse of L makes the rows independent
+        i0 = 1.0 / s00
+        l10, l20 = s01 * i0, s02 * i0
+        i1 = 1.0 / max(s11 - l10 * s01, _LEAST_VARIANCE)
+        l21 = (s12 - l20 * s01) * i1
+        i2 = 1.0 / max(s22 - l20 * s02 - l21 * (s12 - l20 * s01), _LEAST_VARIANCE)
+        w0 = data[at + np.uint64(9 * BLOCK)] - u
+        w1 = data[at + np.uint64(10 * BLOCK)] - v - l10 * w0
+        w2 = data[at + np.uint64(11 * BLOCK)] - d - l20 * w0 - l21 * w1
+        b0, b1, b2 = b0 - l10 * a0, b1 - l10 * a1, b2 - l10 * a2
+        scratch[j] = a0
+        scratch[j + np.uint64(BLOCK)] = a1
+        scratch[j + np.uint64(2 * BLOCK)] = a2
+        scratch[j + np.uint64(3 * BLOCK)] = b0
+        scratch[j + np.uint64(4 * BLOCK)] = b1
+        scratch[j + np.uint64(5 * BLOCK)] = b2
+        scratch[j + np.uint64(6 * BLOCK)] = c0 - l20 * a0 - l21 * b0
+        scratch[j + np.uint64(7 * BLOCK)] = c1 - l20 * a1 - l21 * b1
+        scratch[j + np.uint64(8 * BLOCK)] = c2 - l20 * a2 - l21 * b2
+        scratch[j + np.uint64(_INVERSE)] = i0
+        scratch[j + np.uint64(_INVERSE + BLOCK)] = i1
+        scratch[j + np.uint64(_INVERSE + 2 * BLOCK)] = i2
+        scratch[j + np.uint64(_RESIDUAL)] = w0
+        scratch[j + np.uint64(_RESIDUAL + BLOCK)] = w1
+        scratch[j + np.uint64(_RESIDUAL + 2 * BLOCK)] = w2
+        distance2 = w0 * w0 * i0 + w1 * w1 * i1 + w2 * w2 * i2
+        scratch[j + np.uint64(_DISTANCE)] = distance2 if in_front else _FAR_OFF
+
+
+@njit
+def _weigh(
+    among: FloatArray, first: int, per_kernel2: float, linear: float, square: float,
+    scratch: FloatArray,
+) -> None:  # fmt: skip
+    """Weights, M and q of one block from what `_whiten` left.
+
+    With w the Cauchy weight and m^2 the squared distance, the matrix is summed with
+    ``linear w + square w^2 m^2``.
+    """
+    start = np.uint64(first * BLOCK)
+    for j in range(np.uint64(BLOCK)):
+        distance2 = scratch[j + np.uint64(_DISTANCE)]
+        counts = among[start + j] if distance2 < _FAR_OFF else 0.0
+        weight = 1.0 / (1.0 + distance2 * per_kernel2)
+        in_matrix = counts * (linear * weight + square * weight * weight * distance2)
+        weight *= counts
+        a0, a1 = scratch[j], scratch[j + np.uint64(BLOCK)]
+        a2, b0 = scratch[j + np.uint64(2 * BLOCK)], scratch[j + np.uint64(3 * BLOCK)]
+        b1, b2 = scratch[j + np.uint64(4 * BLOCK)], scratch[j + np.uint64(5 * BLOCK)]
+        c0, c1 = scratch[j + np.uint64(6 * BLOCK)], scratch[j + np.uint64(7 * BLOCK)]
+        c2, i0 = scratch[j + np.uint64(8 * BLOCK)], scratch[j + np.uint64(_INVERSE)]
+        i1 = scratch[j + np.uint64(_INVERSE + BLOCK)]
+        i2 = scratch[j + np.uint64(_INVERSE + 2 * BLOCK)]
+        w0 = weight * i0 * scratch[j + np.uint64(_RESIDUAL)]
+        w1 = weight * i1 * scratch[j + np.uint64(_RESIDUAL + BLOCK)]
+        w2 = weight * i2 * scratch[j + np.uint64(_RESIDUAL + 2 * BLOCK)]
+        scratch[j + np.uint64(_WEIGHT)] = in_matrix
+        scratch[j + np.uint64(_WEIGHT + BLOCK)] = weight
+        scratch[j + np.uint64(_Q)] = a0 * w0 + b0 * w1 + c0 * w2
+        scratch[j + np.uint64(_Q + BLOCK)] = a1 * w0 + b1 * w1 + c1 * w2
+        scratch[j + np.uint64(_Q + 2 * BLOCK)] = a2 * w0 + b2 * w1 + c2 * w2
+        i0, i1, i2 = in_matrix * i0, in_matrix * i1, in_matrix * i2
+        scratch[j + np.uint64(_M)] = i0 * a0 * a0 + i1 * b0 * b0 + i2 * c0 * c0
+        scratch[j + np.uint64(_M + BLOCK)] = i0 * a0 * a1 + i1 * b0 * b1 + i2 * c0 * c1
+        scratch[j + np.uint64(_M + 2 * BLOCK)] = i0 * a0 * a2 + i1 * b0 * b2 + i2 * c0 * c2
+        scratch[j + np.uint64(_M + 3 * BLOCK)] = i0 * a1 * a1 + i1 * b1 * b1 + i2 * c1 * c1
+        scratch[j + np.uint64(_M + 4 * BLOCK)] = i0 * a1 * a2 + i1 * b1 * b2 + i2 * c1 * c2
+        scratch[j + np.uint64(_M + 5 * BLOCK)] = i0 * a2 * a2 + i1 * b2 * b2 + i2 * c2 * c2
+
+
+@njit
+def _sum_block(
+    data: FloatArray, first: int, scratch: FloatArray, sums: FloatArray, gradient: FloatArray
+) -> None:
+    """Add one block to the lower triangle of the 6 x 6 matrix and to the gradient."""
+    start = np.uint64(first * _STRIDE)
+    g0 = g1 = g2 = g3 = g4 = g5 = 0.0
+    t0 = t1 = t2 = t3 = t4 = t5 = 0.0
+    for j in range(np.uint64(BLOCK)):
+        x, y = data[start + j], data[start + j + np.uint64(BLOCK)]
+        z = data[start + j + np.uint64(2 * BLOCK)]
+        q0, q1 = scratch[j + np.uint64(_Q)], scratch[j + np.uint64(_Q + BLOCK)]
+        q2 = scratch[j + np.uint64(_Q + 2 * BLOCK)]
+        g0 += y * q2 - z * q1
+        g1 += z * q0 - x * q2
+        g2 += x * q1 - y * q0
+        g3 += q0
+        g4 += q1
+        g5 += q2
+        t0 += scratch[j + np.uint64(_M)]
+        t1 += scratch[j + np.uint64(_M + BLOCK)]
+        t2 += scratch[j + np.uint64(_M + 2 * BLOCK)]
+        t3 += scratch[j + np.uint64(_M + 3 * BLOCK)]
+        t4 += scratch[j + np.uint64(_M + 4 * BLOCK)]
+        t5 += scratch[j + np.uint64(_M + 5 * BLOCK)]
+    for k, value in enumerate((g0, g1, g2, g3, g4, g5)):
+        gradient[k] += value
+    sums[3, 3] += t0
+    sums[4, 3] += t1
+    sums[5, 3] += t2
+    sums[4, 4] += t3
+    sums[5, 4] += t4
+    sums[5, 5] += t5
+    c00 = c01 = c02 = c10 = c11 = c12 = c20 = c21 = c22 = 0.0
+    r00 = r10 = r20 = r11 = r21 = r22 = 0.0
+    for j in range(np.uint64(BLOCK)):
+        x, y = data[start + j], data[start + j + np.uint64(BLOCK)]
+        z = data[start + j + np.uint64(2 * BLOCK)]
+        xx, xy = scratch[j + np.uint64(_M)], scratch[j + np.uint64(_M + BLOCK)]
+        xz, yy = scratch[j + np.uint64(_M + 2 * BLOCK)], scratch[j + np.uint64(_M + 3 * BLOCK)]
+        yz, zz = scratch[j + np.uint64(_M + 4 * BLOCK)], scratch[j + np.uint64(_M + 5 * BLOCK)]
+        # B = [X]x M, then [X]x M [X]x^T, whose columns are X x (rows of B)
+        b00, b01, b02 = y * xz - z * xy, y * yz - z * yy, y * zz - z * yz
+        b10, b11, b12 = z * xx - x * xz, z * xy - x * yz, z * xz - x * zz
+        b20, b21, b22 = x * xy - y * xx, x * yy - y * xy, x * yz - y * xz
+        c00 += b00
+        c01 += b01
+        c02 += b02
+        c10 += b10
+        c11 += b11
+        c12 += b12
+        c20 += b20
+        c21 += b21
+        c22 += b22
+        r00 += y * b02 - z * b01
+        r10 += z * b00 - x * b02
+        r20 += x * b01 - y * b00
+        r11 += z * b10 - x * b12
+        r21 += x * b11 - y * b10
+        r22 += x * b21 - y * b20
+    sums[0, 0] += r00
+    sums[1, 0] += r10
+    sums[2, 0] += r20
+    sums[1, 1] += r11
+    sums[2, 1] += r21
+    sums[2, 2] += r22
+    for k, row in enumerate(((c00, c10, c20), (c01, c11, c21), (c02, c12, c22))):
+        sums[3 + k, 0] += row[0]
+        sums[3 + k, 1] += row[1]
+        sums[3 + k, 2] += row[2]
+
+
+@njit
+def _sum_terms(
+    data: FloatArray, terms: FloatArray, count: int, first: int, scratch: FloatArray,
+    sums: FloatArray, gradient: FloatArray,
+) -> None:  # fmt: skip
+    """Add one block's share of the K further unknowns."""
+    extra = terms.shape[2]
+    e = np.zeros((extra, 3))
+    for j in range(min(BLOCK, count - first * BLOCK)):
+        landmark = first * BLOCK + j
+        x, y = data[first * _STRIDE + j], data[first * _STRIDE + BLOCK + j]
+        z = data[first * _STRIDE + 2 * BLOCK + j]
+        for k in range(extra):
+            for i in range(3):
+                e[k, i] = terms[landmark, 3, k] if i == 2 else 0.0
+                for a in range(3):
+                    e[k, i] += scratch[(3 * i + a) * BLOCK + j] * terms[landmark, a, k]
+        for k in range(extra):
+            h0 = h1 = h2 = 0.0
+            for i in range(3):
+                inverse = scratch[_INVERSE + i * BLOCK + j]
+                residual = scratch[_RESIDUAL + i * BLOCK + j]
+                gradient[6 + k] += scratch[_WEIGHT + BLOCK + j] * inverse * residual * e[k, i]
+                weighted = scratch[_WEIGHT + j] * inverse * e[k, i]
+                h0 += weighted * scratch[3 * i * BLOCK + j]
+                h1 += weighted * scratch[(3 * i + 1) * BLOCK + j]
+                h2 += weighted * scratch[(3 * i + 2) * BLOCK + j]
+                for m in range(k + 1):
+                    sums[6 + k, 6 + m] += weighted * e[m, i]
+            sums[6 + k, 0] += y * h2 - z * h1
+            sums[6 + k, 1] += z * h0 - x * h2
+            sums[6 + k, 2] += x * h1 - y * h0
+            sums[6 + k, 3] += h0
+            sums[6 + k, 4] += h1
+            sums[6 + k, 5] += h2
+
+
+@kernel
+def distances(camera: FloatArray, motion: FloatArray, data: FloatArray, chi2: FloatArray) -> None:
+    """Squared Mahalanobis distances of all landmarks, 1e12 behind the camera.
+
+    Parameters
+    ----------
+    camera
+        (3,): fx, fy, fx * baseline.
+    motion
+        (4, 4) ``b_T_a``.
+    data
+        (B * ROWS * BLOCK,) packed landmarks.
+    chi2
+        (B * BLOCK,), filled.
+    """
+    scratch = np.zeros(_SCRATCH)
+    for block in range(len(chi2) // BLOCK):
+        _whiten(camera, motion, data, block, scratch)
+        for j in range(BLOCK):
+            chi2[block * BLOCK + j] = scratch[_DISTANCE + j]
+
+
+@kernel
+def normal_equations(
+    camera: FloatArray, motion: FloatArray, data: FloatArray, terms: FloatArray,
+    among: FloatArray, per_kernel2: float, linear: float, square: float, chi2: FloatArray,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """Matrix (6+K, 6+K) and gradient (6+K,), summed over the landmarks.
+
+    Parameters
+    ----------
+    camera, motion, data, chi2
+        As in `distances`.
+    terms
+        (N, 4, K): derivative of X and of the disparity by K more unknowns; K may be 0.
+    among
+        (B * BLOCK,): 1 for landmarks that count, 0 for others.
+    per_kernel2
+        Inverse square of the Cauchy kernel's scale.
+    linear, square
+        The matrix is summed with ``linear w + square w^2 m^2``, m^2 being `chi2`.
+    """
+    size = 6 + terms.shape[2]
+    sums, gradient = np.zeros((size, size)), np.zeros(size)
+    scratch = np.zeros(_SCRATCH)
+    for block in range(len(chi2) // BLOCK):
+        _whiten(camera, motion, data, block, scratch)
+        _weigh(among, block, per_kernel2, linear, square, scratch)
+        _sum_block(data, block, scratch, sums, gradient)
+        if size > 6:
+            _sum_terms(data, terms, len(terms), block, scratch, sums, gradient)
+        for j in range(BLOCK):
+            chi2[block * BLOCK + j] = scratch[_DISTANCE + j]
+    for k in range(size):
+        for m in range(k):
+            sums[m, k] = sums[k, m]
+    return sums, gradient
+
+
+@njit
+def _cholesky_solve(matrix: FloatArray, x: FloatArray) -> bool:
+    """Replace x by the solution, the lower triangle by its factor; False where singular."""
+    for a in range(6):
+        least = _LEAST_PIVOT * matrix[a, a]
+        for b in range(a + 1):
+            entry = matrix[a, b]
+            for c in range(b):
+                entry -= matrix[a, c] * matrix[b, c]
+            if b < a:
+                matrix[a, b] = entry / matrix[b, b]
+            elif entry <= least:
+                return False
+            else:
+                matrix[a, a] = math.sqrt(entry)
+    for a in range(6):
+        for b in range(a):
+            x[a] -= matrix[a, b] * x[b]
+        x[a] /= matrix[a, a]
+    for a in range(5, -1, -1):
+        for b in range(a + 1, 6):
+            x[a] -= matrix[b, a] * x[b]
+        x[a] /= matrix[a, a]
+    return True
+
+
+@njit
+def _moved(motion: FloatArray, step: FloatArray) -> FloatArray:
+    """``motion @ se3_exp(step)``."""
+    angle2 = step[0] ** 2 + step[1] ** 2 + step[2] ** 2
+    angle = math.sqrt(angle2)
+    if angle < _SMALL_ANGLE_RAD:
+        a, b, c = 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0, 1.0 / 6.0 - angle2 / 120.0
+    else:
+        a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle2
+        c = (angle - math.sin(angle)) / (angle2 * angle)
+    k = np.zeros((3, 3))
+    k[0, 1], k[0, 2], k[1, 2] = -step[2], step[1], -step[0]
+    k[1, 0], k[2, 0], k[2, 1] = step[2], -step[1], step[0]
+    result = np.zeros((4, 4))
+    turn, shift = np.zeros((3, 3)), np.zeros(3)
+    for i in range(3):
+        for j in range(3):
+            square = 0.0
+            for m in range(3):
+                square += k[i, m] * k[m, j]
+            one = 1.0 if i == j else 0.0
+            turn[i, j] = one + a * k[i, j] + b * square
+            shift[i] += (one + b * k[i, j] + c * square) * step[3 + j]
+    for i in range(3):
+        result[i, 3] = motion[i, 3]
+        for j in range(3):
+            result[i, 3] += motion[i, j] * shift[j]
+            for m in range(3):
+                result[i, j] += motion[i, m] * turn[m, j]
+    result[3, 3] = 1.0
+    return result
+
+
+@kernel
+def gauss_newton(
+    camera: FloatArray, motion: FloatArray, data: FloatArray, among: FloatArray,
+    per_kernel2: float, iterations: int,
+) -> FloatArray:  # fmt: skip
+    """Motion (4, 4) after at most so many steps; as it is where the system is singular."""
+    scratch = np.zeros(_SCRATCH)
+    sums, gradient, step = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
+    for _ in range(iterations):
+        sums[:] = 0.0
+        gradient[:] = 0.0
+        for block in range(len(among) // BLOCK):
+            _whiten(camera, motion, data, block, scratch)
+            _weigh(among, block, per_kernel2, 1.0, 0.0, scratch)
+            _sum_block(data, block, scratch, sums, gradient)
+        step[:] = gradient
+        if not _cholesky_solve(sums, step):
+            break
+        length2 = largest = 0.0
+        for k in range(6):
+            length2 += gradient[k] * step[k]
+            largest = max(largest, abs(step[k]))
+        if largest > _LARGEST_STEP:
+            break
+        motion = _moved(motion, step)
+        if length2 < _LEAST_STEP2:
+            break
+    return motion
