@@ -21,6 +21,7 @@ from lunar_fg.commands.report import report
 from lunar_fg.commands.resume import resume
 from lunar_fg.commands.run import run
 from lunar_fg.commands.shared import err, guarded, out
+from lunar_fg.commands.simulate import simulate
 from lunar_fg.commands.warmup import warmup
 
 app = typer.Typer(
@@ -59,6 +60,7 @@ app.command()(guarded(campaign))
 app.command()(guarded(geo))
 app.command()(guarded(mosaic))
 app.command()(guarded(report))
+app.command()(guarded(simulate))
 
 if __name__ == "__main__":
     app()

@@ -1,1 +1,1 @@
-"""Simulated traverses with exact truth."""
+"""Simulated traverses: at measurement level, and rendered with exact truth."""
