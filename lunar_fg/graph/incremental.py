@@ -214,6 +214,20 @@ class IncrementalSmoother:
         """
         return PredictedPose(frame, *self._graph.at(self._ordinal(frame)))
 
+    def motion(self, i: int, j: int) -> Planar:
+        """Planar motion between two keyframes by the rover's own measurements, no fix in it.
+
+        In the level axes of `i`, with covariance.
+
+        Raises
+        ------
+        InputError, EstimationError
+            As for `predicted`.
+        """
+        first, second = self._ordinal(i), self._ordinal(j)
+        self._graph.anchor(second)
+        return self._graph.motion(first, second)
+
     def add_fix(self, fix: AbsoluteFix) -> FixDecision:
         """Judge an absolute fix of any keyframe so far, and all recent ones anew with it.
 

@@ -39,8 +39,10 @@ class TraverseSpec:
         Share of sightings moved by up to 40 px.
     odometry, tilt
         Whether the wheels and an inclinometer measure, too.
+    odometry_sigmas
+        Noise of the wheels' motions: rotation (rad), then translation (m), rover axes.
     relative_sigma_rot_rad, relative_sigma_trans_m
-        Noise of the frontend's relative poses.
+        Noise of the frontend's relative poses; without landmarks they are what carries it.
     """
 
     __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
@@ -56,6 +58,7 @@ class TraverseSpec:
     bad_share: float = 0.0
     odometry: bool = False
     tilt: bool = False
+    odometry_sigmas: tuple[float, ...] = (4e-3, 4e-3, 1e-2, 0.02, 0.02, 0.02)
     relative_sigma_rot_rad: float = 5e-4
     relative_sigma_trans_m: float = 0.005
 
@@ -124,7 +127,7 @@ def simulate(spec: TraverseSpec, seed: int) -> SimulatedTraverse:
         if k:
             motion = inverse(truth[k - 1]) @ truth[k]
             relative = _relative(spec, rng, motion, rover_T_camera)
-            odometry = _odometry(rng, motion) if spec.odometry else None
+            odometry = _odometry(spec, rng, motion) if spec.odometry else None
         keyframes.append(
             Keyframe(
                 k,
@@ -204,8 +207,8 @@ def _relative(
     )
 
 
-def _odometry(rng: np.random.Generator, motion: FloatArray) -> Odometry:
-    sigmas = np.array([4e-3, 4e-3, 1e-2, 0.02, 0.02, 0.02])
+def _odometry(spec: TraverseSpec, rng: np.random.Generator, motion: FloatArray) -> Odometry:
+    sigmas = np.array(spec.odometry_sigmas)
     return Odometry(motion @ se3_exp(sigmas * rng.normal(size=6)), np.diag(sigmas**2))
 
 
