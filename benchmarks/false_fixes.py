@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import pairwise, product
 from time import process_time
 
 import gtsam
@@ -180,13 +180,11 @@ def study(runs: int, spacings: tuple[int, ...] = (10, 100, 500)) -> list[FalseFi
         found: dict[str, list[tuple[_Result, _Result, SimulatedFixes]]] = {}
         for seed in range(runs):
             run = traverse(sensor, every_m, seed)
-            spec = FixSpec(
-                every=int(every_m / _STEP_M), false_share=share, clustered=clustered
-            )
+            spec = FixSpec(every=int(every_m / _STEP_M), false_share=share, clustered=clustered)
             fixes = simulate_fixes(range(len(run.keyframes)), run.map_T_rover, spec, seed + 1000)
             oracle, smoother = product_way(run, fixes, oracle=True)
             frames = [0, *(f.frame for f in fixes.fixes)]
-            motions = [smoother.motion(a, b) for a, b in zip(frames, frames[1:], strict=False)]
+            motions = [smoother.motion(a, b) for a, b in pairwise(frames)]
             results = {name: plain_way(name, run, fixes, motions) for name in KERNELS}
             results["product"] = product_way(run, fixes)[0]
             results["oracle"] = oracle
@@ -223,8 +221,8 @@ def row_text(r: FalseFixes) -> str:
     kind = "clustered" if r.clustered else "random"
     return (
         f"{r.sensor:7} {r.every_m:4} m  {r.false_share:3.0%} {kind:9}  {r.way:14} "
-        f"failed {r.failed:2}/{r.runs}  ATE {r.ate_median_m:7.3f} m  false in {r.false_accepted:5.1%}"
-        f"  good out {r.good_missed:5.1%}  {r.ms_a_fix:6.1f} ms"
+        f"failed {r.failed:2}/{r.runs}  ATE {r.ate_median_m:7.3f} m  "
+        f"false in {r.false_accepted:5.1%}  good out {r.good_missed:5.1%}  {r.ms_a_fix:6.1f} ms"
     )
 
 

@@ -12,6 +12,7 @@ from lunar_fg import __version__
 from lunar_fg.commands.campaign import campaign
 from lunar_fg.commands.demo import demo
 from lunar_fg.commands.evaluate import evaluate
+from lunar_fg.commands.fixes import fixes
 from lunar_fg.commands.geo import geo
 from lunar_fg.commands.match import match
 from lunar_fg.commands.mosaic import mosaic
@@ -57,6 +58,7 @@ app.command()(guarded(demo))
 app.command()(guarded(warmup))
 app.command()(guarded(match))
 app.command()(guarded(campaign))
+app.command()(guarded(fixes))
 app.command()(guarded(geo))
 app.command()(guarded(mosaic))
 app.command()(guarded(report))

@@ -17,7 +17,16 @@ from frontends.measurements import Estimate, StartPrior
 from lunar_fg.checkpoint import Checkpoint
 from lunar_fg.folder_lock import FolderLock
 from lunar_fg.graph.keyframe import Keyframe
+from lunar_fg.graph.ledger import FixDecision, LedgerEntry
 from lunar_fg.log_entries import LoggedFrame, RunHeader, Sitting
+from lunar_fg.log_fixes import (
+    FIX_QUERIES,
+    FIX_TABLE_NAMES,
+    FIX_TABLES,
+    ledger_of,
+    rows_of_decision,
+    rows_of_ledger,
+)
 from lunar_fg.log_rows import (
     KEYFRAME_TABLES,
     TABLES,
@@ -29,7 +38,7 @@ from lunar_fg.log_rows import (
 )
 from lunar_fg.record import FrameRecord
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 
 class TraverseLog:
@@ -67,7 +76,9 @@ class TraverseLog:
             log._lock = lock
             log._db.execute("PRAGMA journal_mode=WAL")
             log._db.execute("PRAGMA synchronous=NORMAL")
-            log._db.executescript(f"BEGIN;{TABLES}PRAGMA user_version={SCHEMA_VERSION};COMMIT;")
+            log._db.executescript(
+                f"BEGIN;{TABLES}{FIX_TABLES}PRAGMA user_version={SCHEMA_VERSION};COMMIT;"
+            )
             log._write_header(header)
         except sqlite3.Error as error:
             if log is not None:
@@ -196,6 +207,7 @@ class TraverseLog:
         estimate: Estimate,
         record: FrameRecord | None = None,
         checkpoint: Checkpoint | None = None,
+        decisions: Sequence[FixDecision] = (),
     ) -> None:
         """Write a keyframe and what belongs to it, all or nothing.
 
@@ -207,6 +219,8 @@ class TraverseLog:
             The frame's sensors and counts.
         checkpoint
             What the frames after it need; only the newest one is kept.
+        decisions
+            On the map measurements that came with it, in order.
 
         Raises
         ------
@@ -218,13 +232,30 @@ class TraverseLog:
             if record is not None:
                 self._insert(keyframe.index, rows_of_record(keyframe.index, record))
             self._keep(checkpoint, keyframe.index)
+            self._insert_decisions(decisions)
+
+    def append_decisions(self, decisions: Sequence[FixDecision]) -> None:
+        """Write what was decided on map measurements, all or nothing.
+
+        Raises
+        ------
+        InputError
+            A ruling is in the log already, or the file cannot be written.
+        """
+        with self._transaction():
+            self._insert_decisions(decisions)
+
+    def _insert_decisions(self, decisions: Sequence[FixDecision]) -> None:
+        for decision in decisions:
+            self._insert(decision.entry.frame, rows_of_decision(decision))
 
     def rewrite(
         self,
         entries: Sequence[tuple[Keyframe, Estimate]],
         checkpoint: Checkpoint | None = None,
+        ledger: Sequence[LedgerEntry] = (),
     ) -> None:
-        """Replace all keyframes by these, all or nothing: the first ones were re-measured.
+        """Replace everything by these, all or nothing: the first keyframes were re-measured.
 
         Raises
         ------
@@ -232,10 +263,11 @@ class TraverseLog:
             The file cannot be written; the old keyframes are kept.
         """
         with self._transaction():
-            for table in KEYFRAME_TABLES:
+            for table in (*FIX_TABLE_NAMES, *KEYFRAME_TABLES):
                 self._db.execute(f"DELETE FROM {table}")
             for keyframe, estimate in entries:
                 self._insert(keyframe.index, rows_of(keyframe, estimate))
+            self._insert(-1, rows_of_ledger(ledger))
             self._keep(checkpoint, entries[-1][0].index if entries else -1)
 
     def _insert(self, frame: int, rows: Iterable[tuple[str, tuple[object, ...]]]) -> None:
@@ -269,6 +301,11 @@ class TraverseLog:
                 f"cannot be written ({error})", source=self._path,
                 remedy="what was logged before is kept; check disk space and permissions",
             ) from error  # fmt: skip
+
+    def ledger(self) -> list[LedgerEntry]:
+        """Read every map measurement with its verdicts, in the order in which they came."""
+        measurements, candidates, rulings = (self._query(query) for query in FIX_QUERIES)
+        return ledger_of(measurements, candidates, rulings, self._rows, str(self._path))
 
     def keyframes(self) -> list[Keyframe]:
         """Read all measurements in frame order."""

@@ -14,6 +14,7 @@ from frontends.measurements import Estimate, StartPrior, StereoFrame, UnusableFr
 from lunar_fg.checkpoint import Checkpoint
 from lunar_fg.config import Config
 from lunar_fg.frontend import Frontend
+from lunar_fg.graph.feed import feed
 from lunar_fg.graph.incremental import IncrementalSmoother
 from lunar_fg.log import TraverseLog
 from lunar_fg.order import FrameOrder
@@ -124,8 +125,7 @@ class Navigator:
                 source="log",
                 remedy="use `lunar-fg replay`, or run again",
             )
-        for keyframe in keyframes:
-            self._smoother.add(keyframe)
+        list(feed(self._smoother, keyframes, self._log.ledger()))
         checkpoint = newest[1]
         self._frontend.restore(checkpoint, list(zip(keyframes, records, strict=True)))
         self._corrected = checkpoint.corrected
@@ -190,12 +190,15 @@ class Navigator:
         assert finding is not None
         keyframes = self._calibration.corrected(finding.field_px, self._frontend.positioning)
         smoother = self._new_smoother()
-        entries = [(keyframe, smoother.add(keyframe)) for keyframe in keyframes]
+        fed = feed(smoother, keyframes, self._smoother.ledger)
+        entries = [
+            (keyframe, estimate) for keyframe, (estimate, _) in zip(keyframes, fed, strict=True)
+        ]
         self._frontend.adopt(finding.field_px, keyframes)
         self._calibration.forget()
         self._corrected = True
         if self._log is not None:
-            self._log.rewrite(entries, self._checkpoint())
+            self._log.rewrite(entries, self._checkpoint(), smoother.ledger)
         self._smoother = smoother
         self.frames_lost = sum(estimate.lost for _, estimate in entries[:-1])
         return entries[-1][1]

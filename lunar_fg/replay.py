@@ -7,6 +7,7 @@ from dataclasses import replace
 from lunar_fg.config import Config
 from lunar_fg.evaluation import Metrics
 from lunar_fg.evaluation.plots import write_plots
+from lunar_fg.graph.feed import feed
 from lunar_fg.graph.incremental import IncrementalSmoother
 from lunar_fg.log import TraverseLog
 from lunar_fg.log_entries import LoggedFrame
@@ -43,6 +44,7 @@ def replay(source: RunFolder, target: RunFolder, config: Config) -> Metrics:
     """
     with TraverseLog.open(source.database_path) as log:
         header, frames, sittings = log.header(), log.frames(), log.sittings()
+        ledger = log.ledger()
     truth = source.read_truth()
     if truth is not None:
         target.write_truth(truth)
@@ -52,9 +54,10 @@ def replay(source: RunFolder, target: RunFolder, config: Config) -> Metrics:
     with TraverseLog.create(target.database_path, header) as log:
         for sitting in sittings:
             log.begin(sitting)
-        for frame in with_motion(frames, MotionModel(header.rover_T_camera, config.motion)):
-            estimate = smoother.add(frame.keyframe)
-            log.append(frame.keyframe, estimate, frame.record)
+        frames = with_motion(frames, MotionModel(header.rover_T_camera, config.motion))
+        fed = feed(smoother, (frame.keyframe for frame in frames), ledger)
+        for frame, (estimate, decisions) in zip(frames, fed, strict=True):
+            log.append(frame.keyframe, estimate, frame.record, decisions=decisions)
             lost += estimate.lost
     smoother.finish()
     trajectory = as_trajectory(smoother.trajectory())

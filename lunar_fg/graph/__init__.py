@@ -2,15 +2,17 @@
 
 from lunar_fg.graph.batch import BatchResult, ConvergenceReport, optimize_batch
 from lunar_fg.graph.config import GraphConfig
+from lunar_fg.graph.feed import feed
 from lunar_fg.graph.incremental import IncrementalSmoother, PredictedPose
 from lunar_fg.graph.keyframe import Keyframe, SmoothedTrajectory
-from lunar_fg.graph.ledger import FixDecision, LedgerEntry, LoopClosure, Ruling
+from lunar_fg.graph.ledger import FixDecision, Height, LedgerEntry, LoopClosure, Ruling
 
 __all__ = [
     "BatchResult",
     "ConvergenceReport",
     "FixDecision",
     "GraphConfig",
+    "Height",
     "IncrementalSmoother",
     "Keyframe",
     "LedgerEntry",
@@ -18,5 +20,6 @@ __all__ = [
     "PredictedPose",
     "Ruling",
     "SmoothedTrajectory",
+    "feed",
     "optimize_batch",
 ]

@@ -15,7 +15,15 @@ from frontends.errors import EstimationError, InputError
 from frontends.measurements import AbsoluteFix, FloatArray, StartPrior, Verdict
 from lunar_fg.graph.anchors import Anchor, fix_factor, height_factor, relative_factor
 from lunar_fg.graph.config import GraphConfig
-from lunar_fg.graph.ledger import FixDecision, LedgerEntry, LoopClosure, Ruling
+from lunar_fg.graph.keyframe import floored
+from lunar_fg.graph.ledger import (
+    FixDecision,
+    Height,
+    LedgerEntry,
+    LoopClosure,
+    MapMeasurement,
+    Ruling,
+)
 from lunar_fg.graph.planar import (
     Planar,
     carried,
@@ -49,12 +57,13 @@ class FixGraph(Protocol):
         ...
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class _Case:
     """A measurement under judgement."""
 
+    number: int
     name: str
-    measurement: AbsoluteFix | LoopClosure
+    measurement: MapMeasurement
     ordinal: int
     anchor: Anchor
     places: tuple[Planar, ...] = ()
@@ -69,7 +78,7 @@ class _Case:
     history: list[Ruling] = field(default_factory=list)
 
     def entry(self) -> LedgerEntry:
-        return LedgerEntry(self.measurement, tuple(self.history))
+        return LedgerEntry(self.number, self.measurement, tuple(self.history))
 
 
 class FixJudge:
@@ -97,32 +106,39 @@ class FixJudge:
         self._first = planar_of(start.map_T_rover, start.covariance())
         # Everything before the oldest fix of the window, at `_start_at`.
         self._start, self._start_at = self._first, 0
+        self._cases: dict[str, _Case] = {}
+        self._rulings = 0
         self._window: list[_Case] = []
         self._settled: list[_Case] = []
-        self._empty: list[_Case] = []
         self._motions: dict[tuple[int, int], Planar] = {}
 
     @property
     def ledger(self) -> tuple[LedgerEntry, ...]:
-        """Every measurement with its history, by keyframe."""
-        return tuple(case.entry() for case in self._cases())
+        """Every measurement with its history, as they came."""
+        return tuple(case.entry() for case in self._cases.values())
 
-    def _cases(self) -> list[_Case]:
-        return sorted((*self._settled, *self._window, *self._empty), key=lambda case: case.ordinal)
+    def _case(self, name: str, measurement: MapMeasurement, ordinal: int, anchor: Anchor) -> _Case:
+        if name in self._cases:
+            raise InputError(
+                "has been given already", source=name,
+                remedy="give all places that a keyframe may be at as candidates of one fix",
+            )  # fmt: skip
+        return _Case(len(self._cases), name, measurement, ordinal, anchor)
+
+    def _tick(self) -> int:
+        self._rulings += 1
+        return self._rulings - 1
 
     def add_fix(self, fix: AbsoluteFix, ordinal: int, now: int) -> FixDecision:
         """Judge a checked fix of the keyframe `ordinal`; `now` is the latest frame."""
-        if any(case.base is None and case.ordinal == ordinal for case in self._cases()):
-            raise InputError(
-                "has been given a fix already", source=f"keyframe {fix.frame}",
-                remedy="give all places that it may be at as candidates of one fix",
-            )  # fmt: skip
         name = f"fix {fix.frame}"
         if not fix.candidates:
-            case = _Case(name, fix, ordinal, Anchor(()))
+            case = self._case(name, fix, ordinal, Anchor(()))
             reason = fix.reason or "no place was found"
-            case.history.append(Ruling(now, Verdict.REFUSED, None, float("nan"), reason))
-            self._empty.append(case)
+            case.history.append(
+                Ruling(now, Verdict.REFUSED, None, float("nan"), reason, self._tick())
+            )
+            self._cases[name] = case
             return self._decision(case, [])
         anchor = self._graph.anchor(ordinal)
         pose, covariance = self._graph.at(ordinal)
@@ -130,15 +146,14 @@ class FixJudge:
             Planar(np.array([c.x_m, c.y_m, wrapped(c.yaw_rad)]), np.asarray(c.covariance))
             for c in fix.candidates
         )
-        case = _Case(name, fix, ordinal, anchor, places)
+        case = self._case(name, fix, ordinal, anchor)
+        case.places = places
         case.factor = lambda c: fix_factor(anchor, places[c], pose, f"keyframe {fix.frame}")
         predicted = planar_of(pose, covariance)
         case.distance = np.array([_distance(place, predicted) for place in places])
         if fix.height_m is not None and fix.sigma_height_m is not None:
-            up = pose[2, :3]
-            variance = up @ covariance[3:, 3:] @ up + fix.sigma_height_m**2
-            off = (fix.height_m - pose[2, 3]) ** 2 / variance
-            case.height_fits = bool(off <= self._height_gate)
+            off = _height_off(fix.height_m, fix.sigma_height_m, pose, covariance)
+            case.height_fits = off <= self._height_gate
         return self._judge(case, now)
 
     def add_relative(self, closure: LoopClosure, base: int, ordinal: int, now: int) -> FixDecision:
@@ -149,37 +164,56 @@ class FixJudge:
         tilt = np.eye(4)
         tilt[:3, :3] = pose[:3, :3]
         tilt[:2, :3] = turn(np.arctan2(pose[1, 0], pose[0, 0])).T @ pose[:2, :3]
-        place = planar_of(tilt @ closure.a_T_b, closure.covariance)
+        covariance = floored(closure.covariance)
+        place = planar_of(tilt @ closure.a_T_b, covariance)
         name = f"closure {closure.base} to {closure.frame}"
-        case = _Case(name, closure, ordinal, anchor, (place,), base)
+        case = self._case(name, closure, ordinal, anchor)
+        case.places, case.base = (place,), base
         case.factor = lambda _: relative_factor(
-            base_anchor, anchor, closure.a_T_b, closure.covariance, name
+            base_anchor, anchor, closure.a_T_b, covariance, name
         )
         # Taken as independent: the vote knows better.
         seen = carried(planar_of(*self._graph.at(base)), place)
         case.distance = np.array([_distance(seen, planar_of(*self._graph.at(ordinal)))])
         return self._judge(case, now)
 
-    def overrule(self, ordinal: int, base: int | None, choice: int, now: int) -> FixDecision:
+    def add_height(self, height: Height, ordinal: int, now: int) -> FixDecision:
+        """Hold a checked height against the prediction; there is no vote on heights."""
+        name = f"height {height.frame}"
+        case = self._case(name, height, ordinal, self._graph.anchor(ordinal))
+        pose, covariance = self._graph.at(ordinal)
+        off = _height_off(height.z_m, height.sigma_m, pose, covariance)
+        verdict = Verdict.ACCEPTED if off <= self._height_gate else Verdict.REFUSED
+        sigmas, gate = float(np.sqrt(off)), float(np.sqrt(self._height_gate))
+        reason = f"{sigmas:.1f} sigma from the prediction (gate {gate:.1f})"
+        if verdict is Verdict.ACCEPTED:
+            factor = height_factor(case.anchor, height.z_m, height.sigma_m, pose)
+            self._graph.exchange({name: factor}, (), height.frame)
+            case.chosen = 0
+        case.history.append(Ruling(now, verdict, case.chosen, sigmas, reason, self._tick()))
+        self._cases[name] = case
+        return self._decision(case, [])
+
+    def overrule(self, name: str, choice: int, now: int) -> FixDecision:
         """Let a person decide: a place, or `NONE`; the others vote anew."""
-        found = [c for c in self._cases() if c.ordinal == ordinal and c.base == base]
-        if not found or not NONE <= choice < len(found[0].places):
+        case = self._cases.get(name)
+        if case is None or not NONE <= choice < len(case.places):
             raise InputError(
-                "there is no such measurement to decide on" if not found
-                else f"has {len(found[0].places)} candidates, not a number {choice}",
-                source="fixes", remedy="`lunar-fg fixes RUN` lists them",
+                "there is no such measurement" if case is None
+                else f"has {len(case.places)} candidates, none is number {choice}",
+                source=name, remedy="`lunar-fg fixes RUN` lists them",
             )  # fmt: skip
-        case = found[0]
         case.overruled = choice
         wanted = {id(case): None if choice == NONE else choice}
         if case in self._settled:
             self._carry(wanted, now, case)
             self._resettle()
-        changed = self._vote(now, case, wanted)
-        return self._decision(case, changed)
+            return self._decision(case, self._vote(now, None, {}))
+        return self._decision(case, self._vote(now, case, wanted))
 
     def _judge(self, case: _Case, now: int) -> FixDecision:
         late = case.ordinal < self._start_at
+        self._cases[case.name] = case
         (self._settled if late else self._window).append(case)
         self._window.sort(key=lambda c: c.ordinal)
         if late:
@@ -187,25 +221,25 @@ class FixJudge:
             passes = bool(case.distance[nearest] <= self._barrier)
             self._carry({id(case): nearest if passes else None}, now, case)
             self._settled.sort(key=lambda c: c.ordinal)
+            self._resettle()
             changed: list[_Case] = []
         else:
             changed = self._vote(now, case, {})
         self._settle()
         return self._decision(case, changed)
 
-    def _vote(self, now: int, new: _Case, wanted: dict[int, Choice]) -> list[_Case]:
-        """Vote on the window and carry out what changed."""
+    def _vote(self, now: int, new: _Case | None, wanted: dict[int, Choice]) -> list[_Case]:
+        """Vote on the window and carry out what changed; `wanted` is not voted on."""
         try:
             vote = Vote(self._ballot(), self._barrier)
             outcome = vote.decide([case.chosen for case in self._window])
         except EstimationError as error:
-            return self._carry({id(new): None, **wanted}, now, new, str(error))
-        arrival = new.distance
+            return self._carry(wanted, now, new, str(error))
+        gated = None
+        if new is not None and new.base is None and not new.history and len(new.distance):
+            gated = float(np.sqrt(new.distance.min()))
         for case, distance in zip(self._window, outcome.distance, strict=True):
             case.distance = distance
-        gated = None
-        if new.base is None and not new.history and len(arrival):
-            gated = float(np.sqrt(arrival.min()))
         chosen = {id(c): k for c, k in zip(self._window, outcome.chosen, strict=True)}
         return self._carry({**chosen, **wanted}, now, new, gated=gated)
 
@@ -241,20 +275,20 @@ class FixJudge:
         self,
         chosen: Mapping[int, Choice],
         now: int,
-        new: _Case,
+        new: _Case | None,
         failure: str = "",
         gated: float | None = None,
     ) -> list[_Case]:
         """Bring the graph to what was chosen, and write the rulings; the changed older cases."""
         entering: dict[str, gtsam.NonlinearFactor] = {}
         leaving: list[str] = []
-        cases = [case for case in self._cases() if id(case) in chosen]
+        cases = [case for case in (*self._settled, *self._window) if id(case) in chosen]
         changing = [case for case in cases if chosen[id(case)] != case.chosen]
         try:
             for case in changing:
                 self._exchange(case, chosen[id(case)], entering, leaving)
             if changing:
-                self._graph.exchange(entering, leaving, new.measurement.frame)
+                self._graph.exchange(entering, leaving, changing[-1].measurement.frame)
         except (EstimationError, InputError) as error:
             failure, changing = str(error), []
         changed = []
@@ -263,7 +297,8 @@ class FixJudge:
             if case is not new:
                 case.history.append(self._ruling(case, now))
                 changed.append(case)
-        new.history.append(self._ruling(new, now, failure, gated))
+        if new is not None:
+            new.history.append(self._ruling(new, now, failure, gated))
         return changed
 
     def _exchange(
@@ -314,7 +349,8 @@ class FixJudge:
         if not accepted and not failure and case.overruled is None:
             reason += f" (gate {gate:.1f})"
         verdict = Verdict.ACCEPTED if accepted else Verdict.REFUSED
-        return Ruling(now, verdict, case.chosen, distance, reason)
+        by_person = case.overruled is not None
+        return Ruling(now, verdict, case.chosen, distance, reason, self._tick(), by_person)
 
     def _settle(self) -> None:
         """Let the oldest cases leave the window: their verdicts are final."""
@@ -337,7 +373,8 @@ class FixJudge:
             self._start = updated(self._start, case.places[case.chosen])
 
     def _decision(self, case: _Case, changed: list[_Case]) -> FixDecision:
-        fixes = [c for c in self._cases() if c.base is None]
+        fixes = [c for c in self._cases.values() if isinstance(c.measurement, AbsoluteFix)]
+        fixes.sort(key=lambda c: c.ordinal)
         return FixDecision(
             case.entry(),
             tuple(c.entry() for c in changed),
@@ -351,3 +388,10 @@ def _distance(place: Planar, predicted: Planar) -> float:
     off = place.xyyaw - predicted.xyyaw
     off[2] = wrapped(off[2])
     return float(off @ np.linalg.solve(place.covariance + predicted.covariance, off))
+
+
+def _height_off(z_m: float, sigma_m: float, pose: FloatArray, covariance: FloatArray) -> float:
+    """Squared distance, in sigmas, of a height from a predicted pose."""
+    up = pose[2, :3]
+    variance = float(up @ covariance[3:, 3:] @ up) + sigma_m**2
+    return float((z_m - pose[2, 3]) ** 2 / variance)

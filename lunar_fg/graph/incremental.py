@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from scipy.stats import chi2
 
 from frontends.camera import StereoCamera
 from frontends.errors import EstimationError, InputError
@@ -22,14 +21,13 @@ from frontends.measurements import (
     Tilt,
 )
 from lunar_fg.graph import kernels
-from lunar_fg.graph.anchors import height_factor
 from lunar_fg.graph.checks import check_covariance, check_fix, check_height, check_pose, check_size
 from lunar_fg.graph.config import GraphConfig
 from lunar_fg.graph.fixes import FixGraph, FixJudge
 from lunar_fg.graph.fullgraph import FullGraph
-from lunar_fg.graph.keyframe import Entered, Keyframe, SmoothedTrajectory, floored
+from lunar_fg.graph.keyframe import Entered, Keyframe, SmoothedTrajectory
 from lunar_fg.graph.landmarks import in_rover_frames
-from lunar_fg.graph.ledger import FixDecision, LedgerEntry, LoopClosure
+from lunar_fg.graph.ledger import FixDecision, Height, LedgerEntry, LoopClosure
 from lunar_fg.graph.planar import Planar, planar_of
 from lunar_fg.graph.posegraph import SegmentGraph, compose
 from lunar_fg.graph.vote import NONE
@@ -117,8 +115,6 @@ class IncrementalSmoother:
         backend = SegmentGraph if config.landmarks == "segments" else FullGraph
         self._graph: _Graph = backend(camera, np.array(rover_T_camera, float), start, config)
         self._judge = FixJudge(self._graph, start, config)
-        self._height_gate = float(chi2.ppf(config.fix_gate_probability, 1))
-        self._heights: dict[int, tuple[float, float]] = {}
         self._index: list[int] = []
         self._stamp_s: list[float] = []
         self._vertical = False
@@ -272,20 +268,15 @@ class IncrementalSmoother:
             raise InputError(
                 "does not lead forward", source=source, remedy="give the earlier keyframe first"
             )
-        closure = LoopClosure(i, j, np.array(a_T_b), floored(covariance))
+        closure = LoopClosure(i, j, np.array(a_T_b), np.array(covariance))
         decision = self._judge.add_relative(closure, base, ordinal, self._index[-1])
         self._refresh()
         return decision
 
-    def add_height(self, frame: int, z_m: float, sigma_m: float) -> bool:
+    def add_height(self, frame: int, z_m: float, sigma_m: float) -> FixDecision:
         """Enter the height of a keyframe, e.g. from the orbital elevation model.
 
         Heights must be independent of each other: from a raster, one a cell or fewer.
-
-        Returns
-        -------
-        bool
-            False where the height is refused: outside the chi-square gate.
 
         Raises
         ------
@@ -294,20 +285,10 @@ class IncrementalSmoother:
         """
         check_height(frame, z_m, sigma_m)
         ordinal = self._ordinal(frame)
-        if frame in self._heights:
-            raise InputError("has a height already", source=f"keyframe {frame}")
-        anchor = self._graph.anchor(ordinal)
-        pose, covariance = self._graph.at(ordinal)
-        up = pose[2, :3]
-        variance = float(up @ covariance[3:, 3:] @ up) + sigma_m**2
-        if (z_m - pose[2, 3]) ** 2 > self._height_gate * variance:
-            return False
-        factor = height_factor(anchor, z_m, sigma_m, pose)
-        self._graph.exchange({f"height {frame}": factor}, (), frame)
-        self._heights[frame] = z_m, sigma_m
-        self._vertical = True
+        decision = self._judge.add_height(Height(frame, z_m, sigma_m), ordinal, self._index[-1])
+        self._vertical = self._vertical or decision.accepted
         self._refresh()
-        return True
+        return decision
 
     def accept(self, frame: int, base: int | None = None, candidate: int = 0) -> FixDecision:
         """Let a person believe a fix (with `base`, a loop closure), whatever the vote says.
@@ -330,15 +311,14 @@ class IncrementalSmoother:
         return self._overrule(frame, base, NONE)
 
     def _overrule(self, frame: int, base: int | None, choice: int) -> FixDecision:
-        ordinal = self._ordinal(frame)
-        earlier = None if base is None else self._ordinal(base)
-        decision = self._judge.overrule(ordinal, earlier, choice, self._index[-1])
+        name = f"fix {frame}" if base is None else f"closure {base} to {frame}"
+        decision = self._judge.overrule(name, choice, self._index[-1] if self._index else 0)
         self._refresh()
         return decision
 
     @property
     def ledger(self) -> tuple[LedgerEntry, ...]:
-        """Every fix and loop closure so far with its verdicts, by keyframe."""
+        """Every fix and loop closure so far with its verdicts, as they came."""
         return self._judge.ledger
 
     def _ordinal(self, frame: int) -> int:

@@ -28,6 +28,18 @@ class LoopClosure:
 
 
 @dataclass(frozen=True, slots=True)
+class Height:
+    """The height of a keyframe in the map, m, e.g. from an orbital elevation model."""
+
+    frame: int
+    z_m: float
+    sigma_m: float
+
+
+MapMeasurement = AbsoluteFix | LoopClosure | Height
+
+
+@dataclass(frozen=True, slots=True)
 class Ruling:
     """One verdict on a map measurement.
 
@@ -44,6 +56,10 @@ class Ruling:
         else said; NaN where there is none.
     reason
         In words.
+    number
+        Of all rulings of a run, in the order in which they were given, from 0.
+    by_person
+        A person's word; it holds whatever a later vote says.
     """
 
     at_frame: int
@@ -51,13 +67,26 @@ class Ruling:
     candidate: int | None
     mahalanobis: float
     reason: str
+    number: int
+    by_person: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class LedgerEntry:
-    """A map measurement and all that was decided on it, in order; the last ruling holds."""
+    """A map measurement and all that was decided on it, in order; the last ruling holds.
 
-    measurement: AbsoluteFix | LoopClosure
+    Attributes
+    ----------
+    number
+        In the order in which they came, from 0.
+    measurement
+        As given.
+    history
+        One ruling or more.
+    """
+
+    number: int
+    measurement: MapMeasurement
     history: tuple[Ruling, ...]
 
     @property
