@@ -11,6 +11,7 @@ from rich.logging import RichHandler
 from lunar_fg import __version__
 from lunar_fg.commands.campaign import campaign
 from lunar_fg.commands.demo import demo
+from lunar_fg.commands.doctor import doctor
 from lunar_fg.commands.evaluate import evaluate
 from lunar_fg.commands.fixes import fixes
 from lunar_fg.commands.geo import geo
@@ -27,7 +28,17 @@ from lunar_fg.commands.warmup import warmup
 
 app = typer.Typer(
     name="lunar-fg",
-    help="Rover navigation from stereo images: SURF, stereo geometry, one GTSAM factor graph.",
+    help="""Rover navigation from stereo images: SURF, stereo geometry, one GTSAM factor graph.
+
+    First steps:
+
+    \b
+    lunar-fg doctor                          is everything installed?
+    lunar-fg demo                            a whole drive, without any data
+    lunar-fg run MY-TRAVERSE -o runs/first   navigate through stereo images
+    lunar-fg report runs/first               one page on what came out
+    lunar-fg run --help                      every command has its help, with an example
+    """,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -55,6 +66,7 @@ app.command()(guarded(replay))
 app.command()(guarded(optimize))
 app.command(name="eval")(guarded(evaluate))
 app.command()(guarded(demo))
+app.command()(guarded(doctor))
 app.command()(guarded(warmup))
 app.command()(guarded(match))
 app.command()(guarded(campaign))
