@@ -78,6 +78,15 @@ class RefinedDisparities:
     vertical_px: FloatArray
     confirmed: NDArray[np.bool_]
 
+    def select(self, keep: NDArray[np.bool_]) -> RefinedDisparities:
+        """The features at a mask."""
+        return RefinedDisparities(
+            self.disparity_px[keep],
+            self.sigma_px[keep],
+            self.vertical_px[keep],
+            self.confirmed[keep],
+        )
+
 
 def refine_disparities(
     left: Image,

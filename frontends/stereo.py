@@ -124,6 +124,10 @@ class StereoPerception:
     #: The vertical offset is looked for within this share of the image height.
     _VERTICAL_SEARCH = 0.05
     _BEYOND_INFINITY_PX = -3.0
+    #: Of the pairs of an aligned rig the images confirm far more, of chance pairs far fewer.
+    _LEAST_CONFIRMED = 0.4
+    #: A vertical offset of all pairs below this is left to the band.
+    _NOTEWORTHY_SHIFT_PX = 0.25
 
     def __init__(
         self,
@@ -154,15 +158,24 @@ class StereoPerception:
             (left, left_descriptors), (right, right_descriptors) = threads.map(
                 self._detector.detectAndCompute, (frame.left, frame.right)
             )
+        described = (left, left_descriptors, right, right_descriptors)
         if not self.vertical_measured:
-            self._measure_vertical(left, left_descriptors, right, right_descriptors, frame)
-        pairs = self._match_band(left, left_descriptors, right, right_descriptors)
+            self._measure_vertical(*described, frame)
+        pairs, found = self._match_and_refine(frame, *described)
+        if self._misaligned(found):
+            self._measure_vertical(*described, frame)
+            pairs, found = self._match_and_refine(frame, *described)
+            if self._misaligned(found):
+                # chance pairs have any depth: only those that the images confirm are kept
+                pairs, found = pairs.select(found.confirmed), found.select(found.confirmed)
+        self._follow(found)
         left_uv = left.xy[pairs.query].astype(np.float64)
-        right_uv = right.xy[pairs.train].astype(np.float64)
         scale = _scale(left, pairs.query)
         sigma = self.config.localisation_sigma * scale
-        disparity, sigma_disparity, refined, epipolar_sigma = self._refine(
-            frame, left_uv, right_uv, self.config.stereo_localisation_sigma * scale
+        disparity, sigma_disparity, refined, epipolar_sigma = self._precision(
+            left_uv[:, 0] - right.xy[pairs.train, 0].astype(np.float64),
+            self.config.stereo_localisation_sigma * scale,
+            found,
         )
         u, v = left_uv[:, 0], left_uv[:, 1]
         disparity = disparity - self.rectification.disparity_at(self.camera, u, v)
@@ -229,27 +242,39 @@ class StereoPerception:
             )
         self.rectification = replace(self.rectification, vertical_px=coefficients)
         self.vertical_measured = True
-        self._sharpen_vertical(
-            frame, left, self._match_band(left, left_descriptors, right, right_descriptors), right
-        )
+        self._sharpen_vertical(frame, left, left_descriptors, right, right_descriptors)
 
     def _sharpen_vertical(
-        self, frame: StereoFrame, left: Keypoints, pairs: Matches, right: Keypoints
+        self,
+        frame: StereoFrame,
+        left: Keypoints,
+        left_descriptors: NDArray[np.float32],
+        right: Keypoints,
+        right_descriptors: NDArray[np.float32],
     ) -> None:
         """Fit the vertical field once more, to refined pairs: keypoints scatter more."""
-        uv = left.xy[pairs.query].astype(np.float64)
-        disparity = uv[:, 0] - right.xy[pairs.train, 0]
-        scale = _scale(left, pairs.query)
-        sigma = np.sqrt(2.0) * self.config.stereo_localisation_sigma * scale
-        found = self._refined(frame, uv, disparity, sigma)
+        pairs, found = self._match_and_refine(
+            frame, left, left_descriptors, right, right_descriptors
+        )
         good = found.confirmed
         if good.sum() < self._ENOUGH_PAIRS:
             return
-        basis = vertical_basis(self.camera, uv[good, 0], uv[good, 1])
+        uv = left.xy[pairs.query][good].astype(np.float64)
+        basis = vertical_basis(self.camera, uv[:, 0], uv[:, 1])
         correction, _ = self._fit_vertical(basis, found.vertical_px[good])
         self.rectification = replace(
             self.rectification, vertical_px=self.rectification.vertical_px + correction
         )
+
+    def _follow(self, found: RefinedDisparities) -> None:
+        """Move the vertical field, from the next frame on, with a rig that bends slowly."""
+        if found.confirmed.sum() < self._ENOUGH_PAIRS:
+            return
+        shift = float(np.median(found.vertical_px[found.confirmed]))
+        if abs(shift) > self._NOTEWORTHY_SHIFT_PX:
+            moved = self.rectification.vertical_px.copy()
+            moved[0] += shift
+            self.rectification = replace(self.rectification, vertical_px=moved)
 
     def _fit_vertical(self, basis: FloatArray, values: FloatArray) -> tuple[FloatArray, float]:
         """Coefficients and scale; few pairs tell the constant only."""
@@ -302,8 +327,31 @@ class StereoPerception:
             right.xy.astype(np.float64),
         )
 
-    def _refine(
-        self, frame: StereoFrame, left_uv: FloatArray, right_uv: FloatArray, sigma: FloatArray
+    def _match_and_refine(
+        self,
+        frame: StereoFrame,
+        left: Keypoints,
+        left_descriptors: NDArray[np.float32],
+        right: Keypoints,
+        right_descriptors: NDArray[np.float32],
+    ) -> tuple[Matches, RefinedDisparities]:
+        pairs = self._match_band(left, left_descriptors, right, right_descriptors)
+        uv = left.xy[pairs.query].astype(np.float64)
+        disparity = uv[:, 0] - right.xy[pairs.train, 0]
+        sigma = np.sqrt(2.0) * self.config.stereo_localisation_sigma * _scale(left, pairs.query)
+        return pairs, self._refined(frame, uv, disparity, sigma)
+
+    def _misaligned(self, found: RefinedDisparities) -> bool:
+        """Whether the images confirm so few of the pairs that their rows cannot be the same.
+
+        A rig that was bent since the vertical field was measured shows so: its pairs are then
+        chance ones, with any depth.
+        """
+        enough = len(found.confirmed) >= self._ENOUGH_PAIRS
+        return enough and float(found.confirmed.mean()) < self._LEAST_CONFIRMED
+
+    def _precision(
+        self, disparity: FloatArray, sigma: FloatArray, found: RefinedDisparities
     ) -> tuple[FloatArray, FloatArray, int, float]:
         """Disparities refined on the images, with the precision that was achieved.
 
@@ -311,9 +359,7 @@ class StereoPerception:
         patches' own noise is the rig's, and may be in the disparities too. Pairs that the
         refinement does not confirm keep the keypoints' disparity and its larger sigma.
         """
-        disparity = left_uv[:, 0] - right_uv[:, 0]
         sigma_disparity = np.sqrt(2.0) * sigma
-        found = self._refined(frame, left_uv, disparity, sigma_disparity)
         good = found.confirmed
         if good.sum() < self._ENOUGH_PAIRS:
             return disparity, sigma_disparity, 0, float("nan")

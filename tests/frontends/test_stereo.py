@@ -5,7 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from synthetic import CAMERA, GROUND, Plane, Scene, rover_T_camera
+from synthetic import CAMERA, GROUND, Plane, Scene, arc, rover_T_camera
 
 from frontends.camera import StereoCamera
 from frontends.errors import InputError
@@ -264,3 +264,35 @@ def test_a_wrong_calibration_shows_as_a_disparity_error():
     level = rover_T_camera(1.0, 0.0)
     seen = perceive(scene.frame(level))[0].observations
     assert np.median(disparity_error(scene, level, seen)) == pytest.approx(1.5, abs=0.05)
+
+
+def sunk(frame, shift_px):
+    """The right camera looks lower: its image moves up by whole pixels."""
+    return replace(frame, right=np.roll(frame.right, -shift_px, axis=0))
+
+
+def median_depth_error(scene, perceived, map_T_camera):
+    observations = perceived.observations
+    true = scene.depth(map_T_camera, observations.u_left, observations.v)
+    return float(np.median(np.abs(observations.points_cam[:, 2] - true) / true))
+
+
+@pytest.mark.parametrize("steps", [(1, 2, 3, 4, 5, 6), (7,)], ids=["slowly", "at once"])
+def test_a_rig_that_bends_is_followed(steps):
+    scene, pose_ = Scene(), rover_T_camera()
+    frame = scene.frame(pose_)
+    perception = StereoPerception(scene.camera)
+    before = len(perception.perceive(frame))
+    for shift in steps:
+        perceived = perception.perceive(sunk(frame, shift))
+    assert len(perceived) > 0.8 * before
+    assert median_depth_error(scene, perceived, pose_) < 0.02
+    assert perception.rectification.vertical_px[0] == pytest.approx(steps[-1], abs=0.3)
+
+
+def test_pairs_of_two_different_scenes_are_not_landmarks():
+    scene = Scene()
+    here, there = (scene.frame(arc(2, 30.0)[k] @ rover_T_camera()) for k in range(2))
+    perception = StereoPerception(scene.camera)
+    perception.perceive(here)
+    assert len(perception.perceive(replace(here, right=there.right))) < 20
