@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 
 from frontends.camera import StereoCamera
 from frontends.geometry import inverse, transform_points
-from frontends.measurements import StereoFrame
+from frontends.measurements import Image, StereoFrame
 from frontends.rectification import RectificationError
 
 FloatArray = NDArray[np.float64]
 
 _BLOCK_PX = 5
+#: Pixels at or below this grey level are shadow or sky: nothing but noise to match.
+_DARK = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,12 +148,7 @@ class DenseStereo:
         """
         rectification = rectification or RectificationError()
         camera, s = self._camera, self._scale
-        left, right = (
-            cv2.resize(image, None, fx=1.0 / s, fy=1.0 / s, interpolation=cv2.INTER_AREA)
-            if s > 1
-            else image
-            for image in (frame.left, frame.right)
-        )
+        left, right = _reduced(frame.left, s), _reduced(frame.right, s)
         # centre of a reduced pixel (i, j) lies at (s i + (s - 1) / 2, ...) of the full image
         v, u = np.mgrid[: left.shape[0], : left.shape[1]].astype(np.float64)
         u, v = s * u + 0.5 * (s - 1), s * v + 0.5 * (s - 1)
@@ -159,12 +156,15 @@ class DenseStereo:
         if np.any(rectification.vertical_px):
             shift = rectification.vertical_at(camera, u.ravel(), v.ravel()).reshape(u.shape) / s
             columns, rows = np.meshgrid(np.arange(left.shape[1]), np.arange(left.shape[0]))
-            right = cv2.remap(
-                right,
-                columns.astype(np.float32),
-                (rows - shift).astype(np.float32),
-                cv2.INTER_LINEAR,
-                borderMode=cv2.BORDER_REPLICATE,
+            right = np.asarray(
+                cv2.remap(
+                    right,
+                    columns.astype(np.float32),
+                    (rows - shift).astype(np.float32),
+                    cv2.INTER_LINEAR,
+                    borderMode=cv2.BORDER_REPLICATE,
+                ),
+                dtype=np.uint8,
             )
         if np.any(rectification.disparity_px):
             error = rectification.disparity_at(camera, u.ravel(), v.ravel()).reshape(u.shape)
@@ -172,7 +172,7 @@ class DenseStereo:
         disparity -= error
         reach = camera.fx * camera.baseline_m
         found &= disparity > reach / self.range_m
-        found &= left > 0
+        found &= left > _DARK
         disparity, grey = disparity[found], left[found]
         points = camera.triangulate(u[found], v[found], disparity)
         # an error of depth moves the point along its ray: its height by the ray's share of up
@@ -214,6 +214,13 @@ class DenseStereo:
         # the ends of the search hold what belongs beyond them
         found &= raw < 16 * (least + span - 1)
         return raw.astype(np.float64) * (s / 16.0), found
+
+
+def _reduced(image: Image, factor: int) -> Image:
+    if factor == 1:
+        return image
+    size = (image.shape[1] // factor, image.shape[0] // factor)
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def _averaged(

@@ -93,15 +93,15 @@ class Grid:
         )
 
     def place(self, column: FloatArray, row: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """x and y of fractional columns and rows, m."""
+        """X and y of fractional columns and rows, m."""
         return (
             np.asarray(self.x_m + self.cell_m * column),
             np.asarray(self.y_m - self.cell_m * row),
         )
 
     def centres(self) -> tuple[FloatArray, FloatArray]:
-        """x (columns,) and y (rows,) of the cell centres, m."""
+        """Give x (columns,) and y (rows,) of the cell centres, m."""
         return (
-            self.x_m + self.cell_m * np.arange(self.columns),
-            self.y_m - self.cell_m * np.arange(self.rows),
+            self.x_m + self.cell_m * np.arange(self.columns, dtype=np.float64),
+            self.y_m - self.cell_m * np.arange(self.rows, dtype=np.float64),
         )
