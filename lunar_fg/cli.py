@@ -18,6 +18,7 @@ from lunar_fg.commands.geo import geo
 from lunar_fg.commands.match import match
 from lunar_fg.commands.mosaic import mosaic
 from lunar_fg.commands.optimize import optimize
+from lunar_fg.commands.pointing import pointing
 from lunar_fg.commands.replay import replay
 from lunar_fg.commands.report import report
 from lunar_fg.commands.resume import resume
@@ -75,6 +76,7 @@ app.command()(guarded(geo))
 app.command()(guarded(mosaic))
 app.command()(guarded(report))
 app.command()(guarded(simulate))
+app.command()(guarded(pointing))
 
 if __name__ == "__main__":
     app()

@@ -12,11 +12,12 @@ from lunar_fg.datasets.calibrated_images import open_calibrated
 from lunar_fg.datasets.euroc import EurocReader
 from lunar_fg.datasets.folder import TRAVERSE, FolderReader
 from lunar_fg.datasets.kitti import PAIRS, KittiReader
+from lunar_fg.datasets.pds import PdsReader
 from lunar_fg.datasets.raw_pairs import has_pairs
 from lunar_fg.datasets.schema import nearest_known
 
 #: Every format; the first that detects a folder opens it.
-READERS: tuple[Reader, ...] = (FolderReader(), EurocReader(), KittiReader())
+READERS: tuple[Reader, ...] = (FolderReader(), EurocReader(), KittiReader(), PdsReader())
 
 
 def open_dataset(
