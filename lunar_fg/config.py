@@ -13,7 +13,7 @@ from frontends.stereo import StereoConfig
 from frontends.tracking import TrackingConfig
 from lunar_fg.datasets.strict_yaml import read_yaml
 from lunar_fg.graph.config import GraphConfig
-from lunar_fg.motion import MotionConfig
+from lunar_fg.motion_config import MotionConfig
 from lunar_fg.route import RouteConfig
 
 

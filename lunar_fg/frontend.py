@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from frontends.camera import StereoCamera
 from frontends.detector import FeatureDetector
-from frontends.measurements import RelativePose, StereoFrame, UnusableFrame, Verdict
+from frontends.measurements import RelativePose, StartPrior, StereoFrame, UnusableFrame, Verdict
 from frontends.relative import MotionPrediction, RelativePositioning
 from frontends.stereo import StereoFeatures, StereoPerception
 from frontends.tracking import LandmarkTracker, Tracks
 from lunar_fg.checkpoint import Checkpoint
 from lunar_fg.config import Config
+from lunar_fg.dead_reckoning import DeadReckoning
 from lunar_fg.graph.keyframe import Keyframe
 from lunar_fg.motion import MotionModel, tilt_of
 from lunar_fg.plausibility import DeadCamera, Episodes, Plausibility
@@ -32,6 +33,8 @@ class Frontend:
     ----------
     camera, rover_T_camera
         The rectified pair and its place in the rover.
+    start
+        Where the rover starts, for its dead reckoning.
     config
         Settings.
     stopwatch
@@ -44,6 +47,7 @@ class Frontend:
         self,
         camera: StereoCamera,
         rover_T_camera: FloatArray,
+        start: StartPrior,
         config: Config,
         stopwatch: Stopwatch,
         detector: FeatureDetector | None = None,
@@ -55,6 +59,7 @@ class Frontend:
         self._unusable: dict[str, Episodes] = {}
         self._dead_camera = DeadCamera()
         self._rover_T_camera = rover_T_camera
+        self._start = start
         self._config = config
         self._relive(())
         self._stopwatch = stopwatch
@@ -74,15 +79,18 @@ class Frontend:
             relative = _unmeasured(prediction, frame.reason)
             observations = None
             self._tracker.skip(relative)
-            self.records.append(FrameRecord(Sensors.of(frame), unusable=frame.reason))
+            report, unusable = FrameReport(), frame.reason
             self._note_unusable(frame.index, frame.reason)
         else:
             with self._stopwatch.stage("stereo"):
                 features = self.perception.perceive(frame)
             tracks, relative = self._locate(features, prediction)
             observations = self._tracker.commit(features, tracks, relative)
-            self.records.append(FrameRecord(Sensors.of(frame), _report(features, relative)))
-        self._motion.update(frame, relative)
+            report, unusable = _report(features, relative), ""
+        sensors = Sensors.of(frame)
+        by_wheels = self._dead_reckoning.step(sensors)
+        self.records.append(FrameRecord(sensors, report, unusable, by_wheels))
+        self._motion.update(sensors, relative)
         if isinstance(taken, StereoFrame):
             self._dead_camera.remember(taken)
         if len(self.records) == 1:
@@ -106,7 +114,9 @@ class Frontend:
     def warnings(self) -> tuple[str, ...]:
         """What of the sensors was not used, one sentence each."""
         told = (line for episodes in self._unusable.values() for line in episodes.sentences())
-        return (*told, *self._plausibility.warnings)
+        failure = self._dead_reckoning.failure
+        given_up = (f"dead reckoning was given up {failure}",) if failure else ()
+        return (*told, *self._plausibility.warnings, *given_up)
 
     def _refuse_dead(self, frame: StereoFrame | UnusableFrame) -> StereoFrame | UnusableFrame:
         if isinstance(frame, UnusableFrame):
@@ -157,10 +167,12 @@ class Frontend:
         """Bring all that follows from the measurements to where these frames leave it."""
         self._motion = MotionModel(self._rover_T_camera, self._config.motion)
         self._plausibility = Plausibility(self._rover_T_camera)
+        self._dead_reckoning = DeadReckoning(self._start, self._config.motion)
         for keyframe, record in frames:
             sensors, relative = record.sensors, keyframe.relative
             odometry = self._motion.odometry(sensors)
             self._motion.update(sensors, relative)
+            self._dead_reckoning.step(sensors)
             if relative is None:  # at the first frame
                 relative = _unmeasured(self._motion.predict(sensors), "")
             else:

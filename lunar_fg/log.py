@@ -32,13 +32,12 @@ from lunar_fg.log_rows import (
     TABLES,
     RowReader,
     pack,
-    record_of,
     rows_of,
     rows_of_record,
 )
 from lunar_fg.record import FrameRecord
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 
 
 class TraverseLog:
@@ -326,16 +325,17 @@ class TraverseLog:
 
     def frames(self) -> list[LoggedFrame]:
         """Read all that there is of each frame, in order."""
-        sensors = {row[0]: row for row in self._query("SELECT * FROM sensors")}
-        counts = {row[0]: row for row in self._query("SELECT * FROM counts")}
+        sensors, counts, by_wheels = (
+            {row[0]: row for row in self._query(f"SELECT * FROM {table}")}
+            for table in ("sensors", "counts", "dead_reckoning")
+        )
+        records = {
+            frame: self._rows.record(row, counts[frame], by_wheels.get(frame))
+            for frame, row in sensors.items()
+            if frame in counts
+        }
         return [
-            LoggedFrame(
-                keyframe,
-                estimate,
-                record_of(sensors[keyframe.index], counts[keyframe.index])
-                if keyframe.index in sensors and keyframe.index in counts
-                else None,
-            )
+            LoggedFrame(keyframe, estimate, records.get(keyframe.index))
             for keyframe, estimate in zip(self.keyframes(), self.estimates(), strict=True)
         ]
 

@@ -28,7 +28,7 @@ from frontends.measurements import (
     WheelOdometry,
 )
 from lunar_fg.graph.keyframe import Keyframe
-from lunar_fg.record import FrameRecord, FrameReport, Sensors
+from lunar_fg.record import DeadReckoned, FrameRecord, FrameReport, Sensors
 
 TABLES = """
 CREATE TABLE run (only INTEGER PRIMARY KEY CHECK (only = 1), camera TEXT NOT NULL,
@@ -56,6 +56,8 @@ CREATE TABLE counts (frame INTEGER PRIMARY KEY, keypoints INTEGER NOT NULL,
     stereo_matches INTEGER NOT NULL, refined INTEGER NOT NULL, landmarks INTEGER NOT NULL,
     tracked INTEGER NOT NULL, inliers INTEGER NOT NULL, wrong_match_rate REAL,
     unusable TEXT NOT NULL);
+CREATE TABLE dead_reckoning (frame INTEGER PRIMARY KEY, pose BLOB NOT NULL,
+    covariance BLOB NOT NULL);
 CREATE TABLE checkpoint (only INTEGER PRIMARY KEY CHECK (only = 1), frame INTEGER NOT NULL,
     state BLOB NOT NULL);
 """
@@ -104,16 +106,9 @@ def rows_of_record(frame: int, record: FrameRecord) -> Iterator[tuple[str, tuple
     )  # fmt: skip
     # SQLite keeps a NaN as NULL
     yield "counts", (frame, *astuple(record.report), record.unusable)
-
-
-def record_of(sensors: tuple[Any, ...], counts: tuple[Any, ...]) -> FrameRecord:
-    """Build a record from its rows."""
-    _, stamp_s, *readings = sensors
-    wheels = None if readings[0] is None else WheelOdometry(*readings[:3])
-    attitude = None if readings[3] is None else Attitude(*readings[3:])
-    *numbers, rate, unusable = counts[1:]
-    report = replace(FrameReport(*numbers), wrong_match_rate=math.nan if rate is None else rate)
-    return FrameRecord(Sensors(stamp_s, wheels, attitude), report, unusable)
+    if record.dead_reckoned is not None:
+        by_wheels = record.dead_reckoned
+        yield "dead_reckoning", (frame, pack(by_wheels.map_T_rover), pack(by_wheels.covariance))
 
 
 class RowReader:
@@ -185,3 +180,21 @@ class RowReader:
             tuple(json.loads(used)),
             tuple(json.loads(refused)),
         )
+
+    def record(
+        self,
+        sensors: tuple[Any, ...],
+        counts: tuple[Any, ...],
+        dead_reckoned: tuple[Any, ...] | None,
+    ) -> FrameRecord:
+        """Build a record from its rows."""
+        frame, stamp_s, *readings = sensors
+        wheels = None if readings[0] is None else WheelOdometry(*readings[:3])
+        attitude = None if readings[3] is None else Attitude(*readings[3:])
+        *numbers, rate, unusable = counts[1:]
+        report = replace(FrameReport(*numbers), wrong_match_rate=math.nan if rate is None else rate)
+        by_wheels = None
+        if dead_reckoned is not None:
+            where = f"keyframe {frame}"
+            by_wheels = DeadReckoned(*(self.array(blob, where) for blob in dead_reckoned[1:]))
+        return FrameRecord(Sensors(stamp_s, wheels, attitude), report, unusable, by_wheels)

@@ -2,62 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from dataclasses import replace
 
 import numpy as np
-from annotated_types import Ge, Le
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from frontends.geometry import adjoint, inverse, pose, se3_exp, se3_log
 from frontends.measurements import Attitude, Odometry, RelativePose, Tilt, WheelOdometry
 from frontends.relative import MotionPrediction
+from lunar_fg.dead_reckoning import SlipFilter
+from lunar_fg.motion_config import LONGEST_STEADY, MotionConfig
 from lunar_fg.record import Sensed
 
 FloatArray = NDArray[np.float64]
-#: A 1-sigma or a share; finite, not negative.
-Sigma = Annotated[float, Ge(0), Le(1e6)]
-
-
-#: See `MotionConfig.steady_sigma`; over a longer gap nothing is known of the motion.
-LONGEST_STEADY = 5.0
-
-
-@dataclass(frozen=True, slots=True)
-class MotionConfig:
-    """Uncertainties of the motion models.
-
-    Attributes
-    ----------
-    slip
-        1-sigma of the wheels' distance, as a share of it.
-    wheel_sigma_m
-        1-sigma of the wheels' distance that is there at any distance.
-    heading_sigma
-        1-sigma of the wheels' turn, as a share of it.
-    tilt_rate_rad_per_m
-        1-sigma of the change of roll and pitch over a metre, where no attitude is known.
-    steady_sigma
-        Constant velocity: 1-sigma of the change of the step, as a share of the step.
-        A velocity is taken to last for `LONGEST_STEADY` times the time it was measured over.
-    steady_sigma_m, steady_sigma_rad
-        Constant velocity: 1-sigma that is there at any speed.
-    unknown_sigma_m, unknown_sigma_rad
-        1-sigma of a motion of which nothing is known.
-    """
-
-    __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
-
-    slip: Sigma = 0.1
-    wheel_sigma_m: Sigma = 0.005
-    heading_sigma: Sigma = 0.1
-    tilt_rate_rad_per_m: Sigma = 0.1
-    steady_sigma: Sigma = 0.5
-    steady_sigma_m: Sigma = 0.05
-    steady_sigma_rad: Sigma = 0.05
-    unknown_sigma_m: Sigma = 1.0
-    unknown_sigma_rad: Sigma = 0.3
 
 
 class MotionModel:
@@ -80,6 +38,7 @@ class MotionModel:
         self._known = False
         self._losses = 0
         self._before: Sensed | None = None
+        self._slip = SlipFilter(self.config)
 
     @property
     def known(self) -> bool:
@@ -90,13 +49,14 @@ class MotionModel:
         """Motion by the wheels since the frame before, rover axes.
 
         The attitude gives it the change of roll and pitch as an initial value, but no
-        information: the graph has the same readings as tilts.
+        information: the graph has the same readings as tilts. Slip goes on from step to step,
+        and the graph takes steps for independent: the sigmas are such that they add up right.
         """
         if frame.odometry is None:
             return None
         before = None if self._before is None else self._before.attitude
         rotation = _rotation(frame.odometry, before, frame.attitude)
-        sigmas = _wheel_sigmas(frame.odometry, self.config)
+        sigmas = _wheel_sigmas(frame.odometry, self.config, adding_up=True)
         return Odometry(_chord(frame.odometry, rotation), np.diag(sigmas**2))
 
     def predict(self, frame: Sensed) -> MotionPrediction:
@@ -124,21 +84,40 @@ class MotionModel:
             self._losses = 0
         else:
             self._losses += 1
+        if frame.odometry is not None:
+            self._slip.drive(frame.odometry)
+            if relative is not None and relative.accepted:
+                seen = relative.in_frames(self._rover_T_camera)
+                half = _half(Rotation.from_matrix(seen.a_T_b[:3, :3])).as_matrix()
+                back = half.T @ seen.a_T_b[:3, :3]
+                along = half.T @ seen.a_T_b[:3, 3]
+                spread = back @ seen.covariance[3:, 3:] @ back.T
+                self._slip.observe(frame.odometry, along[:2], spread[:2, :2])
         self._before = frame
 
     def _elapsed(self, frame: Sensed) -> float:
         return 0.0 if self._before is None else frame.stamp_s - self._before.stamp_s
 
     def _by_wheels(self, wheels: WheelOdometry, attitude: Attitude | None) -> MotionPrediction:
+        """Wheels less the slip that the images showed lately, tilted as the attitude changed."""
         before = None if self._before is None else self._before.attitude
         sigmas = _wheel_sigmas(wheels, self.config)
         if before is not None and attitude is not None:
             sigmas[:2] = np.hypot(before.sigma_rp_rad, attitude.sigma_rp_rad)
-        motion = _chord(wheels, _rotation(wheels, before, attitude))
+        slip, distance = self._slip.after(wheels), abs(wheels.d_forward_m)
+        covariance = np.diag(sigmas**2)
+        covariance[3:5, 3:5] = self.config.wheel_sigma_m**2 * np.eye(2)
+        covariance[3:5, 3:5] += distance**2 * slip.covariance
+        moved = replace(
+            wheels,
+            d_forward_m=wheels.d_forward_m * (1.0 - float(slip.mean[0])),
+            d_lateral_m=wheels.d_lateral_m + distance * float(slip.mean[1]),
+        )
+        motion = _chord(moved, _rotation(wheels, before, attitude))
         turn = adjoint(self._camera_T_rover)
         return MotionPrediction(
             self._camera_T_rover @ motion @ self._rover_T_camera,
-            turn @ np.diag(sigmas**2) @ turn.T,
+            turn @ covariance @ turn.T,
         )
 
 
@@ -160,17 +139,33 @@ def _rotation(wheels: WheelOdometry, before: Attitude | None, now: Attitude | No
     return level_before.inv() * turn * level_now
 
 
+def _half(rotation: Rotation) -> Rotation:
+    return Rotation.from_rotvec(0.5 * rotation.as_rotvec())
+
+
 def _chord(wheels: WheelOdometry, rotation: Rotation) -> FloatArray:
     """Motion along an arc that turns by `rotation`."""
-    half = Rotation.from_rotvec(0.5 * rotation.as_rotvec())
-    translation = half.apply([wheels.d_forward_m, wheels.d_lateral_m, 0.0])
+    translation = _half(rotation).apply([wheels.d_forward_m, wheels.d_lateral_m, 0.0])
     return pose(rotation.as_matrix(), translation)
 
 
-def _wheel_sigmas(wheels: WheelOdometry, config: MotionConfig) -> FloatArray:
-    """1-sigmas of a wheel motion, rotation then translation, without an attitude."""
+def _wheel_sigmas(
+    wheels: WheelOdometry, config: MotionConfig, *, adding_up: bool = False
+) -> FloatArray:
+    """1-sigmas of a wheel motion, rotation then translation, without an attitude.
+
+    With `adding_up`, those of independent steps whose sum is as uncertain as that of the true
+    ones, whose slip is a first-order Gauss-Markov process over the distance: larger by
+    ``(1 + r) / (1 - r)`` in variance, with the correlation ``r`` of one step with the next.
+    """
     distance = float(np.hypot(wheels.d_forward_m, wheels.d_lateral_m))
-    sigma_m = float(np.hypot(config.wheel_sigma_m, config.slip * distance))
-    sigma_yaw = float(np.hypot(1e-3, config.heading_sigma * wheels.d_yaw_rad))
+    grown = 1.0
+    if adding_up and distance > 0.0:
+        grown = float(np.sqrt(1.0 / np.tanh(0.5 * distance / config.slip_length_m)))
+    sigma_m = float(np.hypot(config.wheel_sigma_m, grown * config.slip * distance))
+    turn = grown * np.hypot(
+        config.heading_sigma * wheels.d_yaw_rad, config.veer_rad_per_m * distance
+    )
     sigma_tilt = float(np.hypot(1e-3, config.tilt_rate_rad_per_m * distance))
+    sigma_yaw = float(np.hypot(1e-3, turn))
     return np.array([sigma_tilt, sigma_tilt, sigma_yaw, sigma_m, sigma_m, sigma_m])

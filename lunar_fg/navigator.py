@@ -18,7 +18,7 @@ from lunar_fg.graph.feed import feed
 from lunar_fg.graph.incremental import IncrementalSmoother
 from lunar_fg.log import TraverseLog
 from lunar_fg.order import FrameOrder
-from lunar_fg.record import FrameReport
+from lunar_fg.record import FrameReport, dead_reckoning_of
 from lunar_fg.self_calibration import SelfCalibration
 from lunar_fg.stopwatch import Stopwatch
 from lunar_fg.trajectory import Trajectory
@@ -65,10 +65,12 @@ class Navigator:
         self.rover_T_camera = level_rover_T_camera() if rover_T_camera is None else rover_T_camera
         self.stopwatch = stopwatch or Stopwatch()
         self.frames_lost = 0
+        self.frames_before = 0
+        """Frames that came before the run was resumed."""
         self._log = log
         self._start = start or StartPrior()
         self._frontend = Frontend(
-            camera, self.rover_T_camera, self.config, self.stopwatch, detector
+            camera, self.rover_T_camera, self._start, self.config, self.stopwatch, detector
         )
         self._calibration = SelfCalibration(
             camera, self.config.disparity_check, self.config.stereo.max_depth_sigma
@@ -130,6 +132,7 @@ class Navigator:
         self._frontend.restore(checkpoint, list(zip(keyframes, records, strict=True)))
         self._corrected = checkpoint.corrected
         self._order.accept(keyframes[-1])
+        self.frames_before = len(frames)
         self.frames_lost = sum(frame.estimate.lost for frame in frames)
         if not checkpoint.watching:
             self._calibration.concluded(checkpoint.finding)
@@ -148,6 +151,10 @@ class Navigator:
         """Return the smoothed pose and covariance of every frame so far."""
         smoothed = self._smoother.trajectory()
         return Trajectory(smoothed.stamp_s, smoothed.map_T_rover, smoothed.covariance)
+
+    def dead_reckoning(self) -> Trajectory | None:
+        """Return where the rover would be by wheels and attitude alone; None without wheels."""
+        return dead_reckoning_of(self._frontend.records)
 
     @property
     def reports(self) -> list[FrameReport]:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from frontends.measurements import Attitude, WheelOdometry
+import numpy as np
+
+from frontends.measurements import Attitude, FloatArray, WheelOdometry
+from lunar_fg.trajectory import Trajectory
 
 
 class Sensed(Protocol):
@@ -69,6 +73,14 @@ class FrameReport:
 
 
 @dataclass(frozen=True, slots=True)
+class DeadReckoned:
+    """Pose (4, 4) and covariance (6, 6) by wheels and attitude, conventions of `Estimate`."""
+
+    map_T_rover: FloatArray
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
 class FrameRecord:
     """A frame's sensors and counts.
 
@@ -80,8 +92,23 @@ class FrameRecord:
         Counts of the images.
     unusable
         Why the images could not be used; empty where they could.
+    dead_reckoned
+        Where the rover is by wheels and attitude, where there are wheels.
     """
 
     sensors: Sensors
     report: FrameReport = FrameReport()
     unusable: str = ""
+    dead_reckoned: DeadReckoned | None = None
+
+
+def dead_reckoning_of(records: Sequence[FrameRecord]) -> Trajectory | None:
+    """Trajectory by wheels and attitude alone, from the first frame that has wheels on."""
+    known = [(r.sensors.stamp_s, r.dead_reckoned) for r in records if r.dead_reckoned is not None]
+    if not known:
+        return None
+    return Trajectory(
+        np.array([stamp_s for stamp_s, _ in known]),
+        np.stack([pose.map_T_rover for _, pose in known]),
+        np.stack([pose.covariance for _, pose in known]),
+    )

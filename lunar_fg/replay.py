@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from frontends.measurements import FloatArray, StartPrior
 from lunar_fg.config import Config
+from lunar_fg.dead_reckoning import DeadReckoning
 from lunar_fg.evaluation import Metrics
 from lunar_fg.evaluation.plots import write_plots
 from lunar_fg.graph.feed import feed
@@ -12,6 +14,9 @@ from lunar_fg.graph.incremental import IncrementalSmoother
 from lunar_fg.log import TraverseLog
 from lunar_fg.log_entries import LoggedFrame
 from lunar_fg.motion import MotionModel
+from lunar_fg.motion_config import MotionConfig
+from lunar_fg.plausibility import Plausibility
+from lunar_fg.record import dead_reckoning_of
 from lunar_fg.run_folder import RunFolder
 from lunar_fg.runs import as_trajectory, compare
 
@@ -54,7 +59,7 @@ def replay(source: RunFolder, target: RunFolder, config: Config) -> Metrics:
     with TraverseLog.create(target.database_path, header) as log:
         for sitting in sittings:
             log.begin(sitting)
-        frames = with_motion(frames, MotionModel(header.rover_T_camera, config.motion))
+        frames = with_motion(frames, header.rover_T_camera, header.start, config.motion)
         fed = feed(smoother, (frame.keyframe for frame in frames), ledger)
         for frame, (estimate, decisions) in zip(frames, fed, strict=True):
             log.append(frame.keyframe, estimate, frame.record, decisions=decisions)
@@ -62,9 +67,16 @@ def replay(source: RunFolder, target: RunFolder, config: Config) -> Metrics:
     smoother.finish()
     trajectory = as_trajectory(smoother.trajectory())
     target.write_trajectory(trajectory, rover_T_camera=header.rover_T_camera)
+    by_wheels = dead_reckoning_of([frame.record for frame in frames if frame.record is not None])
+    if by_wheels is not None:
+        target.write_dead_reckoning(by_wheels)
     warnings = (f"replayed from the log of {source.path.name}", *smoother.warnings)
     metrics = Metrics.of_run(
-        compare(trajectory, truth), frames=len(trajectory), frames_lost=lost, warnings=warnings
+        compare(trajectory, truth),
+        frames=len(trajectory),
+        frames_lost=lost,
+        warnings=warnings,
+        dead_reckoning=None if by_wheels is None else compare(by_wheels, truth),
     )
     target.write_metrics(metrics)
     name = f"{target.path.name}, replayed"
@@ -72,13 +84,21 @@ def replay(source: RunFolder, target: RunFolder, config: Config) -> Metrics:
     return metrics
 
 
-def with_motion(frames: list[LoggedFrame], motion: MotionModel) -> list[LoggedFrame]:
-    """Give each frame the wheel motion that this model makes of its logged sensors."""
+def with_motion(
+    frames: list[LoggedFrame], rover_T_camera: FloatArray, start: StartPrior, config: MotionConfig
+) -> list[LoggedFrame]:
+    """Give each frame the motion by its logged sensors that these settings make of them."""
+    motion, plausibility = MotionModel(rover_T_camera, config), Plausibility(rover_T_camera)
+    by_wheels = DeadReckoning(start, config)
     result: list[LoggedFrame] = []
     for frame in frames:
         if frame.record is not None:
-            odometry = motion.odometry(frame.record.sensors) if result else None
-            motion.update(frame.record.sensors, frame.keyframe.relative)
-            frame = replace(frame, keyframe=replace(frame.keyframe, odometry=odometry))
+            sensors, keyframe = frame.record.sensors, frame.keyframe
+            record = replace(frame.record, dead_reckoned=by_wheels.step(sensors))
+            odometry = motion.odometry(sensors) if result else None
+            motion.update(sensors, keyframe.relative)
+            if keyframe.relative is not None:
+                odometry = plausibility.odometry(keyframe.index, odometry, keyframe.relative)
+            frame = replace(frame, keyframe=replace(keyframe, odometry=odometry), record=record)
         result.append(frame)
     return result

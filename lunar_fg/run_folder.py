@@ -41,6 +41,8 @@ _FILES = (
     "trajectory.tum",
     "trajectory.kitti",
     "covariance.npz",
+    "dead_reckoning.tum",
+    "dead_reckoning.npz",
     "metrics.json",
     "run.log",
 )
@@ -144,6 +146,11 @@ class RunFolder:
         return self.path / "covariance.npz"
 
     @property
+    def dead_reckoning_path(self) -> Path:
+        """``map_T_rover`` by wheels and attitude alone; covariances in the ``.npz`` beside it."""
+        return self.path / "dead_reckoning.tum"
+
+    @property
     def metrics_path(self) -> Path:
         """Figures, see `lunar_fg.evaluation.metrics`."""
         return self.path / "metrics.json"
@@ -192,33 +199,26 @@ class RunFolder:
             one, as the KITTI benchmark wants them; otherwise ``map_T_rover``.
         """
         write_whole(self.tum_path, tum_text(trajectory).encode())
-        if trajectory.covariance is None:
-            self.covariance_path.unlink(missing_ok=True)
-        else:
-            buffer = io.BytesIO()
-            np.savez(buffer, stamp_s=trajectory.stamp_s, covariance=trajectory.covariance)
-            write_whole(self.covariance_path, buffer.getvalue())
+        _write_covariance(self.covariance_path, trajectory)
         if rover_T_camera is not None:
             trajectory = trajectory.of_sensor(rover_T_camera).from_start()
         write_whole(self.kitti_path, kitti_text(trajectory).encode())
 
     def read_trajectory(self) -> Trajectory:
         """Read the trajectory, with covariances where all its poses have one."""
-        trajectory = read_trajectory(self.tum_path)
-        if not self.covariance_path.is_file():
-            return trajectory
-        try:
-            with np.load(self.covariance_path) as arrays:
-                stamps, covariance = arrays["stamp_s"], arrays["covariance"]
-        except (OSError, ValueError, KeyError, EOFError) as error:
-            raise InputError(
-                "is not an archive of stamp_s and covariance", source=self.covariance_path
-            ) from error
-        if len(stamps) != len(trajectory) or not np.allclose(
-            stamps, trajectory.stamp_s, rtol=0.0, atol=1e-6
-        ):
-            return trajectory
-        return Trajectory(stamps, trajectory.map_T_rover, covariance)
+        return _with_covariance(read_trajectory(self.tum_path), self.covariance_path)
+
+    def write_dead_reckoning(self, trajectory: Trajectory) -> None:
+        """Write ``dead_reckoning.tum`` and its covariances."""
+        write_whole(self.dead_reckoning_path, tum_text(trajectory).encode())
+        _write_covariance(self.dead_reckoning_path.with_suffix(".npz"), trajectory)
+
+    def read_dead_reckoning(self) -> Trajectory | None:
+        """Read the drive by wheels and attitude alone, where there is one."""
+        path = self.dead_reckoning_path
+        if not path.is_file():
+            return None
+        return _with_covariance(read_trajectory(path), path.with_suffix(".npz"))
 
     def write_truth(self, truth: Truth) -> None:
         """Keep the truth that the run is compared with beside its results."""
@@ -279,6 +279,31 @@ class RunFolder:
             self.plots_path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"cannot be written: {error.strerror}", source=self.path) from error
+
+
+def _write_covariance(path: Path, trajectory: Trajectory) -> None:
+    if trajectory.covariance is None:
+        path.unlink(missing_ok=True)
+        return
+    buffer = io.BytesIO()
+    np.savez(buffer, stamp_s=trajectory.stamp_s, covariance=trajectory.covariance)
+    write_whole(path, buffer.getvalue())
+
+
+def _with_covariance(trajectory: Trajectory, path: Path) -> Trajectory:
+    if not path.is_file():
+        return trajectory
+    try:
+        with np.load(path) as arrays:
+            stamps, covariance = arrays["stamp_s"], arrays["covariance"]
+    except (OSError, ValueError, KeyError, EOFError) as error:
+        problem = "is not an archive of stamp_s and covariance"
+        raise InputError(problem, source=path) from error
+    if len(stamps) != len(trajectory) or not np.allclose(
+        stamps, trajectory.stamp_s, rtol=0.0, atol=1e-6
+    ):
+        return trajectory
+    return Trajectory(stamps, trajectory.map_T_rover, covariance)
 
 
 def write_whole(path: Path, content: bytes) -> None:

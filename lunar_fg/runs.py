@@ -363,6 +363,9 @@ def _conclude(
     navigator.finish()
     trajectory = navigator.trajectory()
     folder.write_trajectory(trajectory, rover_T_camera=dataset.rover_T_camera)
+    by_wheels = navigator.dead_reckoning()
+    if by_wheels is not None:
+        folder.write_dead_reckoning(by_wheels)
     timing = _timing(navigator)
     warnings = (*warnings, *dataset.notes, *navigator.warnings)
     for warning in warnings:
@@ -375,6 +378,7 @@ def _conclude(
         matches=_counts(navigator.reports),
         warnings=warnings,
         route=None if route is None else route.summary(),
+        dead_reckoning=None if by_wheels is None else compare(by_wheels, truth),
     )
     folder.write_metrics(metrics)
     if route is not None:
@@ -385,6 +389,7 @@ def _conclude(
         folder.plots_path,
         trajectory,
         truth,
+        by_wheels,
         timing_ms={name: ms for name, ms in timing.items() if name != "total"},
         name=dataset.name,
     )
@@ -394,7 +399,7 @@ def _conclude(
 def _timing(navigator: Navigator) -> dict[str, NDArray[np.float64]]:
     """Milliseconds by stage, one a frame; NaN for the frames before a run was resumed."""
     return {
-        name: np.concatenate([np.full(len(navigator.reports) - len(ms), np.nan), ms])
+        name: np.concatenate([np.full(navigator.frames_before, np.nan), ms])
         for name, ms in navigator.stopwatch.milliseconds().items()
     }
 

@@ -109,6 +109,7 @@ class Metrics:
     matches: Mapping[str, float]
     warnings: tuple[str, ...]
     route: RouteSummary | None = None
+    dead_reckoning: Accuracy | None = None
 
     @classmethod
     def of_run(
@@ -121,6 +122,7 @@ class Metrics:
         matches: Mapping[str, ArrayLike] | None = None,
         warnings: Sequence[str] = (),
         route: RouteSummary | None = None,
+        dead_reckoning: Accuracy | None = None,
     ) -> Metrics:
         """Metrics of a run from its accuracy and what was counted a frame.
 
@@ -139,6 +141,8 @@ class Metrics:
             Of the run; they come before those of the accuracy.
         route
             Of the drive along a planned route, where there was one.
+        dead_reckoning
+            Of the same drive by wheels and attitude alone, where there were wheels.
         """
         figures = {f.name: getattr(accuracy, f.name) for f in fields(Accuracy)}
         figures["warnings"] = (*warnings, *accuracy.warnings)
@@ -154,6 +158,7 @@ class Metrics:
             },
             matches={name: float(np.median(n)) for name, n in counts.items() if n.size},
             route=route,
+            dead_reckoning=dead_reckoning,
             **figures,
         )
 

@@ -19,7 +19,7 @@ FRAMES = 14
 METRICS = [
     "frames", "frames_lost", "distance_m", "ate_rmse_m", "scale_sim3", "kitti", "rpe",
     "final_error_m", "nees", "timing_ms", "matches", "warnings",
-    "route",
+    "route", "dead_reckoning",
 ]  # fmt: skip
 
 
@@ -116,6 +116,7 @@ def test_eval_prints_the_keys_of_the_metrics(finished: Path, rendered: Path) -> 
         "timing_ms",
         "matches",
         "route",
+        "dead_reckoning",
     }
     in_run = json.loads((finished / "metrics.json").read_text())
     assert accuracy["ate_rmse_m"]["se3"] == pytest.approx(in_run["ate_rmse_m"]["se3"], abs=1e-6)
