@@ -6,7 +6,10 @@ Three groups, one metric for all: the strongest keypoints, mutual nearest neighb
 * 20 synthetic warps of real images (rotation, scale, perspective, noise, exposure, blur), the same;
 * stereo pairs: matches within 1 px of the fundamental matrix, with 1,000 keypoints a side.
 
-Run as ``python benchmarks/surf_quality.py [--data DIR] [--json PATH]``.
+And what of lunar-fg's own matches is wrong after RANSAC (`surf_ransac`).
+
+Run as ``python benchmarks/surf_quality.py [--data DIR] [--json PATH]``; a page of tables
+(`surf_tables`) is written beside the JSON.
 """
 
 from __future__ import annotations
@@ -32,9 +35,11 @@ from surf_features import (
     read_grey,
     reference,
 )  # fmt: skip
+from surf_ransac import wrong_matches
+from surf_tables import PLANETARY, markdown
 from surf_warps import WARPS, about_centre, degraded, resampled
 
-__all__ = ["opencv", "ours", "read_grey", "reference"]  # for the tests
+__all__ = ["PLANETARY", "opencv", "ours", "read_grey", "reference"]  # for the tests
 
 STEREO_KEYPOINTS = 1000
 GRAF_RADIUS = 3.0  # px: a match or a repeated keypoint is right within this
@@ -55,7 +60,6 @@ STEREO = {
 }  # fmt: skip
 WARPED = (STEREO["MSL"][0][0], STEREO["K10"][0][0], "moonranger-run1/left/000040.png",
           STEREO["KITTI"][0][0])  # fmt: skip
-PLANETARY = ("MSL", "K10", "MoonRanger")
 
 
 def warp(homography: NDArray[np.float64], xy: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -229,9 +233,13 @@ def table_of_warps(report: Report, chosen: dict[str, Extractor], data: Path) -> 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--json", type=Path, help="the figures; a page of tables goes beside it")
     parser.add_argument("--only", help="comma-separated rows, e.g. 'SURF,OpenCV SURF'")
+    parser.add_argument("--page-only", action="store_true", help="the page anew from the JSON")
     arguments = parser.parse_args()
+    if arguments.page_only:
+        write_page(arguments.json, json.loads(arguments.json.read_text()))
+        return
     chosen = extractors()
     if arguments.only:
         chosen = {name: chosen[name] for name in arguments.only.split(",")}
@@ -240,8 +248,18 @@ def main() -> None:
     table_of_graf(report, chosen, arguments.data)
     table_of_stereo(report, chosen, arguments.data)
     table_of_warps(report, chosen, arguments.data)
+    after: dict[str, object] = dict(wrong_matches(arguments.data))
+    print("\nafter RANSAC")
+    for name, counts in after.items():
+        print(f"{name:16s} {counts}")
+    report["after RANSAC"] = after
     if arguments.json:
         arguments.json.write_text(json.dumps(report, indent=1) + "\n")
+        write_page(arguments.json, report)
+
+
+def write_page(path: Path, report: Report) -> None:
+    path.with_suffix(".md").write_text(markdown(report))
 
 
 if __name__ == "__main__":

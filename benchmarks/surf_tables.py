@@ -1,0 +1,103 @@
+"""The readable page of `surf_quality`, from its JSON alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+PLANETARY = ("MSL", "K10", "MoonRanger")
+_COMMAND = "python benchmarks/surf_quality.py --json docs/benchmarks/surf_quality.json"
+
+
+def markdown(report: Mapping[str, Any]) -> str:
+    """Tables of all groups, methods as rows."""
+    methods = {name: groups for name, groups in report.items() if name != "after RANSAC"}
+    warped = {name: groups for name, groups in methods.items() if "warps" in groups}
+    parts = [
+        "# SURF: quality",
+        f"Made by `{_COMMAND}`. One metric for all: the strongest keypoints, mutual nearest "
+        "neighbours, ratio 0.8. OpenCV SURF is its stored output, which exists for the images "
+        "themselves only, not for their warps.",
+        "## graf: a wall from six sides",
+        "Known homographies, 1,500 keypoints. Repeatability and matching score are means; a "
+        "match or a repeated keypoint is right within 3 px.",
+        _table(
+            ["", "repeatability", *(f"correct 1-{i}" for i in range(2, 7)), "all", "score"],
+            (_graf(name, groups["graf"]) for name, groups in methods.items()),
+        ),
+        "## 20 warps of real images",
+        "Four images in turn; correct matches (repeatability) by group.",
+        _table(
+            ["", *next(iter(warped.values()))["warps"], "all", "score"],
+            (_warps(name, groups["warps"]) for name, groups in warped.items()),
+        ),
+        "## Stereo pairs",
+        "Matches within 1 px of the epipolar lines, 1,000 keypoints a side (their median "
+        "distance, px). The last column is the mean ratio to OpenCV SURF of the same kind "
+        "over the planetary pairs.",
+        _table(
+            ["", *next(iter(methods.values()))["stereo"], "of OpenCV's"],
+            (_stereo(name, methods) for name in methods),
+        ),
+    ]
+    if "after RANSAC" in report:
+        parts += ["## Wrong matches after RANSAC", _after_ransac(report["after RANSAC"])]
+    return "\n\n".join(parts) + "\n"
+
+
+def _graf(name: str, rows: list[list[float]]) -> list[str]:
+    repeatability, correct, score = np.array(rows).T
+    return [
+        name,
+        f"{repeatability.mean():.3f}",
+        *(f"{count:.0f}" for count in correct),
+        f"{correct.sum():.0f}",
+        f"{score.mean():.3f}",
+    ]
+
+
+def _warps(name: str, groups: Mapping[str, list[list[float]]]) -> list[str]:
+    every = np.array([row for rows in groups.values() for row in rows])
+    cells = [
+        f"{sum(row[1] for row in rows):.0f} ({np.mean([row[0] for row in rows]):.2f})"
+        for rows in groups.values()
+    ]
+    return [name, *cells, f"{every[:, 1].sum():.0f}", f"{every[:, 2].mean():.3f}"]
+
+
+def _stereo(name: str, methods: Mapping[str, Any]) -> list[str]:
+    own = methods[name]["stereo"]
+    rival = "OpenCV U-SURF" if name == "SURF upright" else "OpenCV SURF"
+    cells = [f"{count:.0f} ({px:.3f})" for count, px in own.values()]
+    if rival not in methods:
+        return [name, *cells, ""]
+    ratio = np.mean([own[g][0] / methods[rival]["stereo"][g][0] for g in PLANETARY])
+    return [name, *cells, f"{ratio:.2f}"]
+
+
+def _after_ransac(found: Mapping[str, Mapping[str, int]]) -> str:
+    warps, pairs = found["homographies"], found["rectified pairs"]
+    along = pairs["beyond infinity"]
+    return (
+        "An inlier of RANSAC (at 2 px) is wrong when it is farther than 3 px from the truth.\n\n"
+        f"- Homographies (the 20 warps of five real images, 3,000 keypoints): "
+        f"{warps['wrong']} of {warps['inliers']:,} in {warps['pairs']} pairs, "
+        f"{_percent(warps['wrong'], warps['inliers'])}; {warps['refused']} pairs refused.\n"
+        f"- Rectified pairs, RANSAC not told so ({pairs['pairs']} real pairs): "
+        f"{pairs['off row']} of {pairs['inliers']:,} off their row, "
+        f"{_percent(pairs['off row'], pairs['inliers'])}, and {along} nearer than infinity by "
+        f"more than 3 px, {_percent(along, pairs['inliers'])}. A fundamental matrix cannot see "
+        "an error along its lines: stereo perception searches the epipolar band between the "
+        "nearest depth and infinity instead, and the motion between frames rejects the rest."
+    )
+
+
+def _percent(part: int, whole: int) -> str:
+    return f"{100.0 * part / max(whole, 1):.4f} %"
+
+
+def _table(head: list[str], rows: Iterable[list[str]]) -> str:
+    lines = [head, ["---", *["---:"] * (len(head) - 1)], *rows]
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
