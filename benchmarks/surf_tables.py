@@ -69,7 +69,7 @@ def _warps(name: str, groups: Mapping[str, list[list[float]]]) -> list[str]:
 
 def _stereo(name: str, methods: Mapping[str, Any]) -> list[str]:
     own = methods[name]["stereo"]
-    rival = "OpenCV U-SURF" if name == "SURF upright" else "OpenCV SURF"
+    rival = "OpenCV U-SURF" if name in ("SURF upright", "OpenCV U-SURF") else "OpenCV SURF"
     cells = [f"{count:.0f} ({px:.3f})" for count, px in own.values()]
     if rival not in methods:
         return [name, *cells, ""]
