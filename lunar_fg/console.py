@@ -8,6 +8,7 @@ from pathlib import Path
 from rich.table import Table
 
 from lunar_fg.evaluation import Accuracy, Metrics
+from lunar_fg.graph.convergence import ConvergenceReport
 
 
 def run_summary(name: str, metrics: Metrics, folder: Path) -> str:
@@ -49,6 +50,18 @@ def accuracy_table(trajectories: Mapping[str, Accuracy]) -> Table:
         values = [value(accuracy) for accuracy in trajectories.values()]
         if any(figure is not None for figure in values):
             table.add_row(title, *(_cell(figure, digits) for figure in values))
+    return table
+
+
+def convergence_table(report: ConvergenceReport) -> Table:
+    """Chi-square of each kind of factor before and after an optimisation."""
+    table = Table(box=None, pad_edge=False)
+    table.add_column("factors")
+    for title in ("count", "numbers", "chi-square before", "after"):
+        table.add_column(title, justify="right")
+    for kind in report.kinds:
+        before, after = f"{kind.chi_square_before:.1f}", f"{kind.chi_square_after:.1f}"
+        table.add_row(kind.name, str(kind.factors), str(kind.residuals), before, after)
     return table
 
 

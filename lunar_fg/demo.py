@@ -17,8 +17,9 @@ from lunar_fg.config import Config
 from lunar_fg.datasets.landmarks import LandmarkSequence, read_landmarks
 from lunar_fg.evaluation import Accuracy, Metrics
 from lunar_fg.evaluation.plots import write_plots
-from lunar_fg.graph.batch import ConvergenceReport, optimize_batch
+from lunar_fg.graph.batch import optimize_batch
 from lunar_fg.graph.config import GraphConfig
+from lunar_fg.graph.convergence import ConvergenceReport
 from lunar_fg.graph.incremental import IncrementalSmoother
 from lunar_fg.log import TraverseLog
 from lunar_fg.log_entries import RunHeader

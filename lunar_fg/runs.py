@@ -18,7 +18,8 @@ from lunar_fg.datasets.base import Dataset, GroundTruth
 from lunar_fg.evaluation import Accuracy, Metrics, evaluate, without_truth
 from lunar_fg.evaluation.plots import write_plots
 from lunar_fg.frame_table import FrameTable
-from lunar_fg.graph.batch import ConvergenceReport, optimize_batch
+from lunar_fg.graph.batch import optimize_batch
+from lunar_fg.graph.convergence import ConvergenceReport
 from lunar_fg.graph.keyframe import SmoothedTrajectory
 from lunar_fg.log import TraverseLog
 from lunar_fg.log_entries import RunHeader, Sitting
@@ -222,10 +223,10 @@ def optimize(folder: RunFolder) -> tuple[ConvergenceReport, Accuracy]:
         When the graph cannot be solved.
     """
     with TraverseLog.open(folder.database_path) as log:
-        header, keyframes = log.header(), log.keyframes()
+        header, keyframes, ledger = log.header(), log.keyframes(), log.ledger()
     config = config_of(header)
     result = optimize_batch(
-        header.camera, header.rover_T_camera, header.start, keyframes, config.graph
+        header.camera, header.rover_T_camera, header.start, keyframes, config.graph, ledger=ledger
     )
     trajectory = as_trajectory(result.trajectory)
     batch = RunFolder.create(folder.path / "batch", config, overwrite=True)

@@ -9,8 +9,10 @@ import typer
 
 from lunar_fg import runs
 from lunar_fg.commands.shared import out
-from lunar_fg.console import accuracy_table
+from lunar_fg.console import accuracy_table, convergence_table
 from lunar_fg.run_folder import RunFolder
+
+_WORST_SHOWN = 5
 
 
 def optimize(
@@ -27,5 +29,14 @@ def optimize(
         f"{report.cost_after:.1f}, {report.reason}",
         markup=False,
     )
+    out.print(convergence_table(report))
+    if report.fixes_accepted or report.fixes_refused:
+        out.print(
+            f"map measurements: {report.fixes_accepted} accepted, {report.fixes_refused} refused",
+            markup=False,
+        )
+    out.print("worst factors, chi-square:", markup=False)
+    for worst in report.worst[:_WORST_SHOWN]:
+        out.print(f"  {worst.chi_square:8.1f} of {worst.residuals}  {worst.name}", markup=False)
     out.print(accuracy_table({"batch": accuracy}))
     out.print(f"results in {run_folder / 'batch'}", markup=False)

@@ -1,7 +1,8 @@
 """The factor graph: the only place that imports gtsam; it never sees a pixel or a file."""
 
-from lunar_fg.graph.batch import BatchResult, ConvergenceReport, optimize_batch
+from lunar_fg.graph.batch import BatchResult, optimize_batch
 from lunar_fg.graph.config import GraphConfig
+from lunar_fg.graph.convergence import ConvergenceReport
 from lunar_fg.graph.feed import feed
 from lunar_fg.graph.incremental import IncrementalSmoother, PredictedPose
 from lunar_fg.graph.keyframe import Keyframe, SmoothedTrajectory

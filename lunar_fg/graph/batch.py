@@ -13,52 +13,28 @@ from frontends.errors import EstimationError, InputError
 from frontends.measurements import FloatArray, StartPrior
 from lunar_fg.graph.checks import check_pose
 from lunar_fg.graph.config import GraphConfig
+from lunar_fg.graph.convergence import ConvergenceReport, factor_kinds
 from lunar_fg.graph.descent import Descent, descend, named_landmark, values_without, without
 from lunar_fg.graph.factors import pose_key
+from lunar_fg.graph.feed import feed
 from lunar_fg.graph.incremental import IncrementalSmoother
 from lunar_fg.graph.keyframe import Keyframe, SmoothedTrajectory
 from lunar_fg.graph.landmarks import WholeGraph, map_point
+from lunar_fg.graph.ledger import LedgerEntry
+from lunar_fg.graph.review import Review
 
 _ITERATIONS_FACTOR = 10
 _MOST_CULPRITS = 50
-
-
-@dataclass(frozen=True, slots=True)
-class ConvergenceReport:
-    """How the optimiser ended.
-
-    Attributes
-    ----------
-    iterations
-        Of Levenberg-Marquardt.
-    cost_before, cost_after
-        Half the robust chi-square.
-    converged
-        Whether it stopped because nothing improved any more.
-    reason
-        Why it stopped.
-    factors, landmarks
-        Size of the graph.
-    landmarks_set_aside
-        Landmarks left out: they had no place in front of the cameras that saw them.
-    """
-
-    iterations: int
-    cost_before: float
-    cost_after: float
-    converged: bool
-    reason: str
-    factors: int
-    landmarks: int
-    landmarks_set_aside: int = 0
+_MOST_REVIEWS = 6
 
 
 @dataclass(frozen=True, slots=True)
 class BatchResult:
-    """The optimised trajectory and how it was reached."""
+    """The optimised trajectory, how it was reached, and the last word on map measurements."""
 
     trajectory: SmoothedTrajectory
     report: ConvergenceReport
+    ledger: tuple[LedgerEntry, ...] = ()
 
 
 def optimize_batch(
@@ -68,8 +44,13 @@ def optimize_batch(
     keyframes: Sequence[Keyframe],
     config: GraphConfig | None = None,
     initial: SmoothedTrajectory | None = None,
+    ledger: Sequence[LedgerEntry] = (),
 ) -> BatchResult:
-    """Optimise all poses and landmarks together.
+    """Optimise all poses and landmarks together, with the map measurements that are true.
+
+    Which these are is voted on by graduated non-convexity over all of them at once, on the
+    motions between their keyframes (`vote`); then each is held against what all others say
+    in the whole graph, and where that changes a verdict, the graph is solved again.
 
     Parameters
     ----------
@@ -80,7 +61,10 @@ def optimize_batch(
     config
         Gate, robust threshold and iterations; `landmarks` does not matter here.
     initial
-        The incremental solution; None computes it (segments).
+        The incremental solution; None computes it (segments). Verdicts are then as `ledger`
+        has them.
+    ledger
+        Map measurements as they came.
 
     Raises
     ------
@@ -94,8 +78,10 @@ def optimize_batch(
     if not keyframes:
         raise InputError("is empty", source="keyframes", remedy="record a run first")
     if initial is None:
-        initial = _incremental(camera, rover_T_camera, start, keyframes, config)
-    if initial.index.tolist() != [keyframe.index for keyframe in keyframes]:
+        smoother = _incremental(camera, rover_T_camera, start, keyframes, config, ledger)
+        initial, ledger = smoother.trajectory(), smoother.ledger
+    index = [keyframe.index for keyframe in keyframes]
+    if initial.index.tolist() != index:
         raise InputError(
             "is of other keyframes", source="initial", remedy="give the trajectory of this run"
         )
@@ -111,20 +97,37 @@ def optimize_batch(
         for key, seen_from, point in new.landmarks:
             values.insert(key, map_point(initial.map_T_rover[seen_from], rover_T_camera, point))
         landmarks += len(new.landmarks)
-    end = descend(graph, values, _ITERATIONS_FACTOR * config.max_iterations, whole.unsound)
-    poses, covariances, aside = _marginals(end, len(keyframes))
+    review = Review(index, ledger, config)
+    most, at = _ITERATIONS_FACTOR * config.max_iterations, values
+    gone: set[int] = set()
+    for left in reversed(range(_MOST_REVIEWS)):
+        entering, names = review.factors(initial.map_T_rover)
+        with_fixes = gtsam.NonlinearFactorGraph(graph)
+        with_fixes.push_back(entering)
+        end = descend(with_fixes, at, most, whole.unsound)
+        poses, covariances, aside = _marginals(end, len(keyframes))
+        if not left or not review.revise(poses, covariances):
+            break
+        graph, at, gone = without(graph, end.set_aside), end.values, gone | end.set_aside
+    size = int(end.graph.size())
+    named = {size - len(names) + i: name for i, name in enumerate(names)}
+    kinds, worst = factor_kinds(end.graph, values, end.values, index, named)
     report = ConvergenceReport(
         end.iterations,
         end.cost_before,
         end.cost_after,
         end.converged,
         end.reason,
-        int(end.graph.size()),
-        landmarks - len(aside),
-        len(aside),
+        size,
+        landmarks - len(aside | gone),
+        len(aside | gone),
+        kinds,
+        worst,
+        len(review.accepted),
+        len(ledger) - len(review.accepted),
     )
     trajectory = SmoothedTrajectory(initial.index, initial.stamp_s, poses, covariances)
-    return BatchResult(trajectory, report)
+    return BatchResult(trajectory, report, review.ledger)
 
 
 def _incremental(
@@ -133,13 +136,14 @@ def _incremental(
     start: StartPrior,
     keyframes: Sequence[Keyframe],
     config: GraphConfig,
-) -> SmoothedTrajectory:
+    ledger: Sequence[LedgerEntry],
+) -> IncrementalSmoother:
     segments = config.model_copy(update={"landmarks": "segments"})
     smoother = IncrementalSmoother(camera, rover_T_camera, start, segments)
-    for keyframe in keyframes:
-        smoother.add(keyframe)
+    list(feed(smoother, keyframes, ledger))
     smoother.finish()
-    return smoother.trajectory()
+    smoother.revote()
+    return smoother
 
 
 def _marginals(end: Descent, count: int) -> tuple[FloatArray, FloatArray, set[int]]:

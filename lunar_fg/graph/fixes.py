@@ -27,6 +27,7 @@ from lunar_fg.graph.ledger import (
 from lunar_fg.graph.planar import (
     Planar,
     carried,
+    mahalanobis_squared,
     planar_of,
     turn,
     updated,
@@ -150,7 +151,7 @@ class FixJudge:
         case.places = places
         case.factor = lambda c: fix_factor(anchor, places[c], pose, f"keyframe {fix.frame}")
         predicted = planar_of(pose, covariance)
-        case.distance = np.array([_distance(place, predicted) for place in places])
+        case.distance = np.array([mahalanobis_squared(place, predicted) for place in places])
         if fix.height_m is not None and fix.sigma_height_m is not None:
             off = _height_off(fix.height_m, fix.sigma_height_m, pose, covariance)
             case.height_fits = off <= self._height_gate
@@ -174,7 +175,7 @@ class FixJudge:
         )
         # Taken as independent: the vote knows better.
         seen = carried(planar_of(*self._graph.at(base)), place)
-        case.distance = np.array([_distance(seen, planar_of(*self._graph.at(ordinal)))])
+        case.distance = np.array([mahalanobis_squared(seen, planar_of(*self._graph.at(ordinal)))])
         return self._judge(case, now)
 
     def add_height(self, height: Height, ordinal: int, now: int) -> FixDecision:
@@ -210,6 +211,14 @@ class FixJudge:
             self._resettle()
             return self._decision(case, self._vote(now, None, {}))
         return self._decision(case, self._vote(now, case, wanted))
+
+    def revote(self, now: int) -> tuple[LedgerEntry, ...]:
+        """Judge all fixes and closures together, also those that left the window."""
+        self._window = sorted((*self._settled, *self._window), key=lambda c: c.ordinal)
+        self._settled, self._start, self._start_at = [], self._first, 0
+        changed = self._vote(now, None, {}) if self._window else []
+        self._settle()
+        return tuple(case.entry() for case in changed)
 
     def _judge(self, case: _Case, now: int) -> FixDecision:
         late = case.ordinal < self._start_at
@@ -381,13 +390,6 @@ class FixJudge:
             tuple(c.measurement.frame for c in fixes if c.chosen is not None),
             tuple(c.measurement.frame for c in fixes if c.chosen is None),
         )
-
-
-def _distance(place: Planar, predicted: Planar) -> float:
-    """Squared Mahalanobis distance of a place from a prediction."""
-    off = place.xyyaw - predicted.xyyaw
-    off[2] = wrapped(off[2])
-    return float(off @ np.linalg.solve(place.covariance + predicted.covariance, off))
 
 
 def _height_off(z_m: float, sigma_m: float, pose: FloatArray, covariance: FloatArray) -> float:

@@ -290,6 +290,22 @@ class IncrementalSmoother:
         self._refresh()
         return decision
 
+    def revote(self) -> tuple[LedgerEntry, ...]:
+        """Judge all fixes and loop closures together, also those that are no longer voted on.
+
+        Takes some 0.1 s with 100 of them, and grows with their square.
+
+        Returns
+        -------
+        tuple of LedgerEntry
+            Those whose verdict changed.
+        """
+        if not self._index:
+            return ()
+        changed = self._judge.revote(self._index[-1])
+        self._refresh()
+        return changed
+
     def accept(self, frame: int, base: int | None = None, candidate: int = 0) -> FixDecision:
         """Let a person believe a fix (with `base`, a loop closure), whatever the vote says.
 

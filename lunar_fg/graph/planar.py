@@ -179,3 +179,10 @@ def updated(prior: Planar, measured: Planar) -> Planar:
     gain = np.linalg.solve(prior.covariance + measured.covariance, prior.covariance).T
     covariance = prior.covariance - gain @ prior.covariance
     return Planar(prior.xyyaw + gain @ off, 0.5 * (covariance + covariance.T))
+
+
+def mahalanobis_squared(place: Planar, predicted: Planar) -> float:
+    """Squared Mahalanobis distance of a measured place from an independent prediction."""
+    off = place.xyyaw - predicted.xyyaw
+    off[2] = wrapped(off[2])
+    return float(off @ np.linalg.solve(place.covariance + predicted.covariance, off))

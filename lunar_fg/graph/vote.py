@@ -9,7 +9,9 @@ cost (truncated least squares, TLS),
 
 by graduated non-convexity (Yang et al. 2020, GTSAM's `GncLMOptimizer`), then by single changes
 that still lower the cost. The barrier is the gate's: a claim that stands alone is believed if
-and only if it passes the chi-square gate.
+and only if it passes the chi-square gate. What was believed until now, and what gates one after
+another would believe, are improved in the same way; of the three the cheapest is taken, where
+false ones that agree with each other count once (`stories`).
 """
 
 from __future__ import annotations
@@ -22,7 +24,15 @@ import numpy as np
 
 from frontends.errors import EstimationError
 from frontends.measurements import FloatArray
-from lunar_fg.graph.planar import Planar, carried, turned
+from lunar_fg.graph.planar import (
+    Planar,
+    carried,
+    mahalanobis_squared,
+    turned,
+    updated,
+    wrapped,
+)
+from lunar_fg.graph.stories import Refused, refused_cost
 
 #: With a larger sigma, rad, a yaw is as good as not measured.
 _NO_YAW_SIGMA = 0.5
@@ -99,6 +109,9 @@ class Outcome:
 @dataclass(frozen=True, slots=True)
 class _Solved:
     values: gtsam.Values
+    covariance: FloatArray
+    #: Chi-square of what is known and of what is believed; `cost` has the barriers too.
+    fit: float
     cost: float
     distance: tuple[FloatArray, ...]
 
@@ -120,6 +133,7 @@ class Vote:
     """
 
     def __init__(self, ballot: Ballot, barrier: float) -> None:
+        self._ballot = ballot
         self._groups = ballot.groups
         self._barrier = barrier
         self._known = gtsam.NonlinearFactorGraph()
@@ -149,14 +163,37 @@ class Vote:
     def decide(self, incumbent: Sequence[Choice]) -> Outcome:
         """Judge all groups; `incumbent` is what was believed until now."""
         kept = [g.allowed(choice) for g, choice in zip(self._groups, incumbent, strict=True)]
-        # The incumbent stays where nothing is better by more than rounding.
-        best = self._improved(kept)
-        graduated = self._graduated()
-        if graduated is not None and tuple(graduated) != best.chosen:
-            other = self._improved(graduated)
+        best, seen = self._improved(kept), set()
+        seen.add(best.chosen)
+        for start in (self._graduated(), self._gated()):
+            if start is None or tuple(start) in seen:
+                continue
+            other = self._improved(start)
+            seen.add(other.chosen)
+            # The incumbent stays where nothing is better by more than rounding.
             if other.cost < best.cost - 1e-6:
                 best = other
         return best
+
+    def _gated(self) -> list[Choice]:
+        """Believe what passes the gate, one station after the other from the start."""
+        here, at = self._ballot.start, 0
+        chosen = [group.allowed(None) for group in self._groups]
+        order = sorted(range(len(chosen)), key=lambda g: _station(self._groups[g]))
+        for g in order:
+            group = self._groups[g]
+            if not group.claims or any(claim.base is not None for claim in group.claims):
+                continue
+            while at < _station(group):
+                here, at = carried(here, self._ballot.motions[at]), at + 1
+            if group.forced is None:
+                distance = [mahalanobis_squared(claim.place, here) for claim in group.claims]
+                nearest = int(np.argmin(distance))
+                chosen[g] = nearest if distance[nearest] <= self._barrier else None
+            choice = chosen[g]
+            if choice is not None:
+                here = updated(here, group.claims[choice].place)
+        return chosen
 
     def _graduated(self) -> list[Choice] | None:
         graph, members = gtsam.NonlinearFactorGraph(self._known), []
@@ -204,7 +241,30 @@ class Vote:
             if after.cost >= solved.cost:
                 break
             chosen, solved = changed, after
-        return Outcome(tuple(chosen), solved.distance, solved.cost)
+        return Outcome(tuple(chosen), solved.distance, self._cost(chosen, solved))
+
+    def _cost(self, chosen: Sequence[Choice], solved: _Solved) -> float:
+        """Truncated cost in which refused places that agree with each other count once."""
+        group, station, off, covariance = [], [], [], []
+        alone = 0
+        for g, (choice, members) in enumerate(zip(chosen, self._groups, strict=True)):
+            if choice is not None:
+                continue
+            places = [claim for claim in members.claims if claim.base is None]
+            alone += not places
+            for claim in places:
+                pose = solved.values.atPose2(claim.station)
+                gap = claim.place.xyyaw - [pose.x(), pose.y(), pose.theta()]
+                group.append(g)
+                station.append(claim.station)
+                off.append([gap[0], gap[1], wrapped(gap[2])])
+                covariance.append(claim.place.covariance)
+        if not group:
+            return solved.fit + self._barrier * alone
+        refused = Refused(np.array(group), np.array(station), np.array(off), np.array(covariance))
+        yaw = np.array([solved.values.atPose2(i).theta() for i in range(self._stations)])
+        apart = refused_cost(refused, yaw, solved.covariance, self._barrier)
+        return solved.fit + self._barrier * alone + apart
 
     def _gain(self, group: int, chosen: Choice, distance: FloatArray) -> tuple[float, Choice]:
         """What the best other verdict on a group would save, and which that is."""
@@ -233,14 +293,15 @@ class Vote:
         except (*_GTSAM_ERRORS, np.linalg.LinAlgError) as error:
             raise EstimationError(f"the fixes cannot be judged ({error})") from error
         out = sum(c is None for c in chosen)
-        cost = 2.0 * float(graph.error(values)) + self._barrier * out
+        fit = 2.0 * float(graph.error(values))
+        cost = fit + self._barrier * out
         distance = tuple(
             self._distances(factors, c, values, covariance)
             for factors, c in zip(self._factors, chosen, strict=True)
         )
         if not np.isfinite(cost):
             raise EstimationError("the fixes cannot be judged (the cost is not finite)")
-        return _Solved(values, cost, distance)
+        return _Solved(values, covariance, fit, cost, distance)
 
     def _distances(
         self,
@@ -275,6 +336,10 @@ class Vote:
         jacobian, target = factor.linearize(values).jacobian()
         columns = [3 * int(key) + i for key in list(factor.keys()) for i in range(3)]
         return columns, np.asarray(jacobian), -np.asarray(target)
+
+
+def _station(group: Group) -> int:
+    return group.claims[0].station if group.claims else 0
 
 
 def _place_factor(key: int, place: Planar) -> gtsam.PriorFactorPose2:

@@ -1,0 +1,119 @@
+"""Refused places that agree with each other: one common error, not many independent ones.
+
+A repetitive terrain, or a map that is shifted, makes false fixes that are all off by the same
+vector. Counted one by one they would outvote the path; so the refused ones that one offset
+explains cost one barrier together, and the path decides which of two stories is true.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frontends.measurements import FloatArray, IntArray
+from lunar_fg.graph.planar import turn
+
+#: How far an offset may be (m) and turn (rad).
+_OFFSET_SIGMAS = (1e4, 1e4, 0.02)
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """Refused places, one row each.
+
+    Attributes
+    ----------
+    group
+        (M,) which group each belongs to; of a group at most one place is in a story.
+    station
+        (M,) where.
+    off
+        (M, 3) place less the station's estimate, map axes.
+    covariance
+        (M, 3, 3) of the places.
+    """
+
+    group: IntArray
+    station: IntArray
+    off: FloatArray
+    covariance: FloatArray
+
+
+def refused_cost(
+    refused: Refused, yaw: FloatArray, covariance: FloatArray, barrier: float
+) -> float:
+    """What all refused groups cost together.
+
+    Parameters
+    ----------
+    refused
+        The places.
+    yaw, covariance
+        (n,) and (3n, 3n) of the stations, in their own axes, without the refused ones.
+    barrier
+        What one independent error costs.
+    """
+    left = np.ones(len(refused.group), dtype=bool)
+    total = 0.0
+    turns = np.tile(np.eye(3), (len(yaw), 1, 1))
+    turns[:, :2, :2] = [turn(angle) for angle in yaw]
+    # Stations into map axes, then one block for each place.
+    n = len(yaw)
+    blocks = covariance.reshape(n, 3, n, 3)[refused.station][:, :, refused.station]
+    rotate = turns[refused.station]
+    joint = np.einsum("aij,ajbk,blk->aibl", rotate, blocks, rotate)
+    rows = np.arange(len(refused.group))
+    joint[rows, :, rows] += refused.covariance
+    agree = _agreement(refused, joint) <= barrier
+    while left.any():
+        members = _largest(agree & left[:, None] & left[None], refused.group)
+        while len(members) > 1:
+            cost = barrier + _fit(
+                refused.off[members], joint[np.ix_(members, np.arange(3), members)]
+            )
+            if cost < barrier * len(members):
+                break
+            cost = np.inf
+            members = members[:-1]
+        if len(members) < 2:
+            return total + barrier * len(np.unique(refused.group[left]))
+        total += cost
+        left &= ~np.isin(refused.group, refused.group[members])
+    return total
+
+
+def _agreement(refused: Refused, joint: FloatArray) -> FloatArray:
+    """Squared Mahalanobis distance of each two offsets from each other, (M, M)."""
+    own = np.einsum("aiaj->aij", joint)
+    cross = joint.transpose(0, 2, 1, 3)
+    spread = own[:, None] + own[None] - cross - cross.transpose(0, 1, 3, 2)
+    spread = spread + np.diag([0.0, 0.0, 2.0 * _OFFSET_SIGMAS[2] ** 2])
+    off = refused.off[:, None] - refused.off[None]
+    rows = np.arange(len(off))
+    spread[rows, rows] = np.eye(3)
+    solved = np.linalg.solve(spread, off[..., None])[..., 0]
+    return np.asarray(np.einsum("abi,abi->ab", off, solved))
+
+
+def _largest(agree: NDArray[np.bool_], group: IntArray) -> IntArray:
+    """Members of the largest set that agrees with one of them, one a group."""
+    best: IntArray = np.empty(0, dtype=np.int64)
+    for seed in np.flatnonzero(agree.any(axis=1)):
+        members = np.flatnonzero(agree[seed])
+        members = members[members != seed]
+        members = members[group[members] != group[seed]]
+        _, first = np.unique(group[members], return_index=True)
+        if len(first) + 1 > len(best):
+            best = np.concatenate([[seed], members[first]])
+    return best
+
+
+def _fit(off: FloatArray, joint: FloatArray) -> float:
+    """Chi-square of offsets (m, 3) that are one unknown vector plus noise."""
+    m = len(off)
+    covariance = joint.reshape(3 * m, 3 * m) + np.kron(
+        np.ones((m, m)), np.diag(np.square(_OFFSET_SIGMAS))
+    )
+    return float(off.ravel() @ np.linalg.solve(covariance, off.ravel()))
