@@ -10,7 +10,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from frontends.errors import InputError
 from lunar_fg.commands.shared import err, out
-from lunar_fg.simulation.simulate import simulate as run_simulation
 from lunar_fg.simulation.spec import SimulationSpec, checked_spec, read_spec
 
 
@@ -43,6 +42,7 @@ def adapted(
     gsd: float | None = None,
     dem: Path | None = None,
     depth: bool = False,
+    wrong_map: bool = True,
 ) -> SimulationSpec:
     """Spec with what the command line gives, checked again.
 
@@ -62,6 +62,7 @@ def adapted(
         (("orbital", "gsd_m"), gsd),
         (("terrain", "dem"), dem),
         (("depth",), depth or None),
+        (("orbital", "wrong_map"), None if wrong_map else False),
     )
     data = spec.model_dump()
     for place, value in changes:
@@ -107,6 +108,9 @@ def simulate(
         dem=dem,
         depth=depth,
     )
+    # the ray caster is heavy to import, and no other command needs it
+    from lunar_fg.simulation.simulate import simulate as run_simulation
+
     with RenderProgress() as progress:
         run_simulation(wanted, folder, workers=workers, on_progress=progress.tell)
     out.print(f"dataset in {folder}; navigate it: lunar-fg run {folder} -o runs/NAME", markup=False)

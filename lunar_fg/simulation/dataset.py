@@ -39,7 +39,7 @@ def prepare(folder: Path) -> None:
     if folder.is_dir() and any(folder.iterdir()):
         raise InputError("is not empty", source=folder, remedy="name a new or empty folder")
     try:
-        for name in ("left", "right", "truth", "orbital", "orbital_wrong"):
+        for name in ("left", "right", "truth"):
             (folder / name).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"cannot be written: {error.strerror}", source=folder) from error
@@ -153,6 +153,7 @@ def write_map(
     base: BaseRelief | None,
 ) -> None:
     """Write ``ortho.tif`` and ``dem.tif``."""
+    folder.mkdir(exist_ok=True)
     crs, origin = _reference(spec, base)
     sun = spec.orbital.sun
     tags = {

@@ -14,9 +14,9 @@ FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 #: Node spacings, m; each divides the one before.
-SPACINGS_M = (8.0, 1.0, 0.2, 0.04)
+SPACINGS_M = (8.0, 1.0, 0.2, 0.05)
 #: Ground that is meshed at each spacing but the first: distance from the drive, m.
-_FINE_M = 10.0
+_FINE_M = 9.0
 _MIDDLE_M = 250.0
 _FADE_CELLS = 8.0
 

@@ -22,12 +22,17 @@ _REACH = ((0.02, 7.0), (0.05, 16.0), (0.15, 40.0), (0.5, 150.0))
 _OBSTACLE_M, _CLEARANCE_M = 0.12, 0.9
 
 
+#: Angles at which a rock is seen from the drive, beyond which its mesh is finer.
+_FINER_RAD, _NEAREST_M = np.array([0.05, 0.2]), 1.5
+
+
 @dataclass(frozen=True, slots=True)
 class Rocks:
-    """Rocks in map axes: (N, 2) places, (N,) diameters, m."""
+    """Rocks in map axes: (N, 2) places, (N,) diameters and distances from the drive, m."""
 
     xy: FloatArray
     diameter: FloatArray
+    distance: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,11 +82,11 @@ def draw_rocks(spec: TerrainSpec, rng: np.random.Generator, drive: FloatArray) -
         share = rng.uniform(0.0, 1.0, n)
         diameter = (smallest**law - share * (smallest**law - largest**law)) ** (1.0 / law)
         thick = np.exp(crowd.at(xy[:, 0], xy[:, 1]) - 0.3)
-        distance, _ = tree.query(xy)
+        distance = np.asarray(tree.query(xy)[0])
         keep = (rng.uniform(0.0, 3.0, n) < thick) & (distance < reach)
         keep &= (diameter < _OBSTACLE_M) | (distance > _CLEARANCE_M + 0.5 * diameter)
-        parts.append((xy[keep], diameter[keep]))
-    return Rocks(np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts]))
+        parts.append((xy[keep], diameter[keep], distance[keep]))
+    return Rocks(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 def mesh_rocks(
@@ -103,8 +108,9 @@ def mesh_rocks(
     vertices, normals, triangles, albedo = [], [], [], []
     count = 0
     shapes = {level: _shapes(rng, level) for level in (1, 2, 3)}
-    for (x, y), diameter, z in zip(rocks.xy, rocks.diameter, ground, strict=True):
-        level = 1 if diameter < 0.08 else 2 if diameter < 0.35 else 3
+    seen_rad = rocks.diameter / np.maximum(rocks.distance, _NEAREST_M)
+    levels = 1 + np.searchsorted(_FINER_RAD, seen_rad)
+    for (x, y), diameter, z, level in zip(rocks.xy, rocks.diameter, ground, levels, strict=True):
         points, normal, faces = shapes[level][rng.integers(len(shapes[level]))]
         axes = 0.5 * diameter * np.array([1.0, rng.uniform(0.65, 1.0), rng.uniform(0.45, 0.8)])
         turn = so3_exp([0.0, 0.0, rng.uniform(0.0, 2.0 * np.pi)]) @ so3_exp(

@@ -235,6 +235,8 @@ def _write_maps(
     spec: SimulationSpec, world: World, folder: Path, workers: int | None, tell: Progress
 ) -> None:
     _write_map(spec, world.scene, world, folder / "orbital", 6, workers, tell)
+    if not spec.orbital.wrong_map:
+        return
     # another place of the same kind, in the same coordinates: no rover was ever there
     elsewhere = spec.model_copy(update={"seed": (spec.seed + _ELSEWHERE) % 2**31})
     near = _map_extent(spec)

@@ -166,6 +166,8 @@ class OrbitalSpec(_Strict):
         Blur, and signal to noise at mean brightness, of the ortho image.
     dem_sigma_px
         Height noise of the DEM, in ortho pixels.
+    wrong_map
+        Whether to make a map of another place too, for refusal tests.
     crs, origin
         Of the map frame: projected CRS, and where its zero lies (east, north, height; m).
         With a base DEM, both come from its file.
@@ -177,6 +179,7 @@ class OrbitalSpec(_Strict):
     psf_sigma_px: NotNegative = 0.7
     snr: Positive = 60.0
     dem_sigma_px: NotNegative = 0.2
+    wrong_map: bool = True
     crs: str = "IAU_2015:30135"
     origin: tuple[float, float, float] = (12_000.0, -8_000.0, -1_500.0)
 

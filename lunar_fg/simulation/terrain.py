@@ -144,7 +144,7 @@ def make_terrain(spec: TerrainSpec, seed: int, near: Extent) -> Terrain:
     exponent = np.where(wavelength >= 1.0, spec.hurst, spec.hurst_below_1m)
     relief = Octaves.draw(rng, wavelength, spec.roughness_m * wavelength**exponent)
     tones = 0.3 * 2.0 ** np.arange(11)
-    tone = Octaves.draw(rng, tones, np.full(len(tones), 0.035))
+    tone = Octaves.draw(rng, tones, np.full(len(tones), 0.022))
     middle_distance = _grown(near, 150.0)
     bands = [
         (0.2, 1.0, _grown(near, 5.0)),

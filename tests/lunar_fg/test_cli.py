@@ -281,8 +281,8 @@ def test_moonranger_run1_beats_every_peer(shared_data: Path, tmp_path: Path) -> 
     assert "disparity error" in warnings
 
 
-def test_the_demo_agrees_with_itself(tmp_path: Path) -> None:
-    result = lunar_fg("demo", "-o", tmp_path / "demo")
+def test_the_kitti_demo_agrees_with_itself(tmp_path: Path) -> None:
+    result = lunar_fg("demo", "--kitti", "-o", tmp_path / "demo")
     assert result.exit_code == 0, result.output
     assert "135 keyframes" in result.stdout
     gap_mm = float(result.stdout.split("all landmarks ")[-1].split(" mm")[0])
