@@ -133,11 +133,12 @@ def write_geotiff(
         When the CRS is none, or the file cannot be written.
     """
     import rasterio
+    from rasterio import Affine
     from rasterio.crs import CRS
     from rasterio.errors import CRSError, RasterioError
-    from rasterio.transform import from_origin
 
     cell = frame.gsd_m * frame.columns / image.shape[1]
+    west, north = frame.west + origin[0], frame.north + origin[1]
     try:
         with rasterio.open(
             path,
@@ -148,7 +149,7 @@ def write_geotiff(
             count=1,
             dtype=image.dtype,
             crs=CRS.from_user_input(crs),
-            transform=from_origin(frame.west + origin[0], frame.north + origin[1], cell, cell),
+            transform=Affine(cell, 0.0, west, 0.0, -cell, north),
             compress="deflate",
         ) as file:
             file.write(image, 1)

@@ -16,7 +16,7 @@ from lunar_fg.simulation.drive import Drive, drive_along, plan_route, region_of
 from lunar_fg.simulation.levels import Level, make_levels
 from lunar_fg.simulation.orbital import MapFrame, as_dem, as_photograph, look_down
 from lunar_fg.simulation.parallel import in_processes
-from lunar_fg.simulation.rocks import draw_rocks, mesh_rocks
+from lunar_fg.simulation.rocks import Rocks, draw_rocks, mesh_rocks
 from lunar_fg.simulation.scene import Scene
 from lunar_fg.simulation.sensors import attitude, start_prior, wheel_odometry
 from lunar_fg.simulation.spec import SimulationSpec
@@ -43,6 +43,8 @@ class World:
     ----------
     terrain, scene
         The ground as a function, and as meshes with the rocks.
+    rocks
+        Where they lie.
     drive
         Densely sampled truth.
     frames
@@ -53,6 +55,7 @@ class World:
 
     terrain: Terrain
     scene: Scene
+    rocks: Rocks
     drive: Drive
     frames: NDArray[np.int64]
     map_frame: MapFrame
@@ -77,10 +80,11 @@ def build_world(spec: SimulationSpec) -> World:
     levels = make_levels(terrain, route, near)
     drive = drive_along(route, levels[-1], spec.path, spec.sensors.side_slip_per_slope)
     steps = np.arange(0.0, spec.path.length_m + 1e-6, spec.path.step_m)
-    scene = _scene(spec, levels, route[::10])
+    scene, rocks = _scene(spec, levels, route[::10])
     return World(
         terrain,
         scene,
+        rocks,
         drive,
         drive.nearest(steps),
         MapFrame.covering(near, spec.orbital.gsd_m),
@@ -174,7 +178,9 @@ def _map_extent(spec: SimulationSpec) -> Extent:
     return (west - margin, south - margin, east + margin, north + margin)
 
 
-def _scene(spec: SimulationSpec, levels: tuple[Level, ...], drive: FloatArray) -> Scene:
+def _scene(
+    spec: SimulationSpec, levels: tuple[Level, ...], drive: FloatArray
+) -> tuple[Scene, Rocks]:
     rng = np.random.default_rng([spec.seed, 3])
     xy = 0.5 * (drive.min(axis=0) + drive.max(axis=0))
     middle = np.array([*xy, float(ground_height(levels, xy[None, :])[0])])
@@ -202,7 +208,7 @@ def _scene(spec: SimulationSpec, levels: tuple[Level, ...], drive: FloatArray) -
     )
     drawn = draw_rocks(relief, rng, drive)
     rocks = mesh_rocks(drawn, ground_height(levels, drawn.xy), middle, rng)
-    return Scene(levels, rocks, fine, medium, middle)
+    return Scene(levels, rocks, fine, medium, middle), drawn
 
 
 def ground_height(levels: tuple[Level, ...], xy: FloatArray) -> FloatArray:
@@ -243,7 +249,7 @@ def _write_maps(
     other = make_terrain(spec.terrain.model_copy(update={"dem": None}), elsewhere.seed, near)
     line = np.stack([np.linspace(near[0], near[2], 500), np.zeros(500)], axis=1)
     levels = make_levels(other, line[::500], near)
-    scene = _scene(elsewhere, levels, line)
+    scene, _ = _scene(elsewhere, levels, line)
     _write_map(spec, scene, world, folder / "orbital_wrong", 7, workers, tell)
 
 
@@ -263,11 +269,12 @@ def _write_map(
     radiance = np.concatenate([results[first] for first in strips])
     rng = np.random.default_rng([spec.seed, stream])
     ortho = as_photograph(radiance, spec.orbital, rng)
-    dem = as_dem(_bare_ground(scene, frame), spec.orbital, rng)
+    dem = as_dem(bare_ground(scene, frame), spec.orbital, rng)
     dataset.write_map(folder, spec, frame, ortho, dem, world.terrain.base)
 
 
-def _bare_ground(scene: Scene, frame: MapFrame) -> Float32:
+def bare_ground(scene: Scene, frame: MapFrame) -> Float32:
+    """Height of the meshed ground at a map's pixels, (H, W), m."""
     x = frame.west + frame.gsd_m * (np.arange(frame.columns) + 0.5)
     y = frame.north - frame.gsd_m * (np.arange(frame.rows) + 0.5)
     grid_x, grid_y = np.meshgrid(x, y)
