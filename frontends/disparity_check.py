@@ -27,6 +27,8 @@ from frontends.tracking import common_landmarks
 
 FloatArray = NDArray[np.float64]
 
+_MEDIAN_CHI2 = float(chi2_distribution.median(df=3))
+
 
 @dataclass(frozen=True, slots=True)
 class DisparityCheckConfig:
@@ -200,7 +202,7 @@ class DisparityCheck:
                 through = np.linalg.solve(whole[:6, :6], whole[:6, 6:]).T
                 information += whole[6:, 6:] - through @ whole[:6, 6:]
                 gradient += slope[6:] - through @ slope[:6]
-                ratio.append(float(np.median(chi2)) / chi2_distribution.median(df=3))
+                ratio.append(float(np.median(chi2)) / _MEDIAN_CHI2)
             spread = np.linalg.eigvalsh(information)
             if not ratio or spread[0] <= 1e-12 * spread[-1]:
                 return None

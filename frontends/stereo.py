@@ -154,10 +154,10 @@ class StereoPerception:
             When the images do not fit the camera, or left and right look swapped.
         """
         self.check_size(frame)
-        with ThreadPoolExecutor(max_workers=2) as threads:
-            (left, left_descriptors), (right, right_descriptors) = threads.map(
-                self._detector.detectAndCompute, (frame.left, frame.right)
-            )
+        with ThreadPoolExecutor(max_workers=1) as thread:
+            other = thread.submit(self._detector.detectAndCompute, frame.right)
+            left, left_descriptors = self._detector.detectAndCompute(frame.left)
+            right, right_descriptors = other.result()
         described = (left, left_descriptors, right, right_descriptors)
         if not self.vertical_measured:
             self._measure_vertical(*described, frame)
