@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -51,3 +52,21 @@ class OpenCVDetector:
         unit = descriptors.astype(np.float32)
         unit /= np.maximum(np.linalg.norm(unit, axis=1, keepdims=True), 1e-12)
         return keypoints, unit
+
+
+@dataclass(frozen=True, slots=True)
+class DescribedPair:
+    """What a detector gives of the two images of a pair.
+
+    Attributes
+    ----------
+    left, right
+        N and M keypoints.
+    left_descriptors, right_descriptors
+        (N, D) and (M, D) float32.
+    """
+
+    left: Keypoints
+    left_descriptors: Descriptors
+    right: Keypoints
+    right_descriptors: Descriptors

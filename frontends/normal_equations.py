@@ -1,4 +1,4 @@
-"""The sums of `frontends.reprojection` in compiled code, and Gauss-Newton on them.
+"""The sums of `frontends.reprojection` in compiled code.
 
 Landmarks come in blocks of 64, one quantity a row of 64 numbers, at constant offsets in a flat
 array: the compiler then works on several landmarks at a time. With ``P`` the derivative of the
@@ -8,14 +8,13 @@ projection by the landmark X and ``S`` the covariance of the residual r, a motio
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
 from frontends.jit import kernel, njit
 
 FloatArray = NDArray[np.float64]
+_u64 = np.uint64  # signed indices get a test for negative values in the loop
 
 BLOCK = 64
 #: Rows of a block: X (3), its covariance (6: xx, xy, xz, yy, yz, zz), u, v, disparity seen from
@@ -24,7 +23,7 @@ ROWS = 14
 _STRIDE = ROWS * BLOCK
 #: Rows of the scratch: whitened P (9), inverse variances of the whitened residual (3), the
 #: residual (3), its squared length, weights of matrix and gradient (2), M (6), q (3).
-_SCRATCH = 27 * BLOCK
+SCRATCH = 27 * BLOCK
 _INVERSE, _RESIDUAL, _DISTANCE, _WEIGHT, _M, _Q = (row * BLOCK for row in (9, 12, 15, 16, 18, 24))
 
 #: Points nearer than this to the camera plane have no usable projection, m.
@@ -34,17 +33,10 @@ _NEAREST_M = 1e-3
 _FAR_OFF = 1e12
 #: Least variance left after elimination, px^2: rounding must not make it negative.
 _LEAST_VARIANCE = 1e-9
-#: A Gauss-Newton step beyond this (rad, m) comes from a singular system.
-_LARGEST_STEP = 1e3
-#: Pivots below this share of the diagonal are rounding.
-_LEAST_PIVOT = 1e-14
-#: Converged: the squared length of the step in sigmas of the motion.
-_LEAST_STEP2 = 1e-8
-_SMALL_ANGLE_RAD = 1e-4
 
 
 @njit
-def _whiten(
+def whiten(
     camera: FloatArray, motion: FloatArray, data: FloatArray, first: int, scratch: FloatArray
 ) -> None:
     """Residuals of one block of landmarks, made independent, and their derivatives."""
@@ -52,10 +44,10 @@ def _whiten(
     r00, r01, r02, tx = motion[0, 0], motion[0, 1], motion[0, 2], motion[0, 3]
     r10, r11, r12, ty = motion[1, 0], motion[1, 1], motion[1, 2], motion[1, 3]
     r20, r21, r22, tz = motion[2, 0], motion[2, 1], motion[2, 2], motion[2, 3]
-    start = np.uint64(first * _STRIDE)
-    for j in range(np.uint64(BLOCK)):
+    start = _u64(first * _STRIDE)
+    for j in range(_u64(BLOCK)):
         at = start + j
-        px, py, pz = data[at], data[at + np.uint64(BLOCK)], data[at + np.uint64(2 * BLOCK)]
+        px, py, pz = data[at], data[at + _u64(BLOCK)], data[at + _u64(2 * BLOCK)]
         x = r00 * px + r01 * py + r02 * pz + tx
         y = r10 * px + r11 * py + r12 * pz + ty
         z = r20 * px + r21 * py + r22 * pz + tz
@@ -67,11 +59,11 @@ def _whiten(
         a0, a1, a2 = f * r00 - u_z * r20, f * r01 - u_z * r21, f * r02 - u_z * r22
         b0, b1, b2 = g * r10 - v_z * r20, g * r11 - v_z * r21, g * r12 - v_z * r22
         c0, c1, c2 = -h * r20, -h * r21, -h * r22
-        xx, xy = data[at + np.uint64(3 * BLOCK)], data[at + np.uint64(4 * BLOCK)]
-        xz, yy = data[at + np.uint64(5 * BLOCK)], data[at + np.uint64(6 * BLOCK)]
-        yz, zz = data[at + np.uint64(7 * BLOCK)], data[at + np.uint64(8 * BLOCK)]
-        variance = data[at + np.uint64(12 * BLOCK)]
-        k0, k1, k2 = xx * a0 + xy * a1 + xz * a2, xy * a0 + yy * a1 + yz * a2, 0.0
+        xx, xy = data[at + _u64(3 * BLOCK)], data[at + _u64(4 * BLOCK)]
+        xz, yy = data[at + _u64(5 * BLOCK)], data[at + _u64(6 * BLOCK)]
+        yz, zz = data[at + _u64(7 * BLOCK)], data[at + _u64(8 * BLOCK)]
+        variance = data[at + _u64(12 * BLOCK)]
+        k0, k1 = xx * a0 + xy * a1 + xz * a2, xy * a0 + yy * a1 + yz * a2
         k2 = xz * a0 + yz * a1 + zz * a2
         s00 = a0 * k0 + a1 * k1 + a2 * k2 + variance
         s01 = b0 * k0 + b1 * k1 + b2 * k2
@@ -82,102 +74,102 @@ def _whiten(
         s12 = c0 * k0 + c1 * k1 + c2 * k2
         k0, k1 = xx * c0 + xy * c1 + xz * c2, xy * c0 + yy * c1 + yz * c2
         k2 = xz * c0 + yz * c1 + zz * c2
-        s22 = c0 * k0 + c1 * k1 + c2 * k2 + data[at + np.uint64(13 * BLOCK)]
+        s22 = c0 * k0 + c1 * k1 + c2 * k2 + data[at + _u64(13 * BLOCK)]
         # S = L D L^T; the inverse of L makes the rows independent
         i0 = 1.0 / s00
         l10, l20 = s01 * i0, s02 * i0
         i1 = 1.0 / max(s11 - l10 * s01, _LEAST_VARIANCE)
         l21 = (s12 - l20 * s01) * i1
         i2 = 1.0 / max(s22 - l20 * s02 - l21 * (s12 - l20 * s01), _LEAST_VARIANCE)
-        w0 = data[at + np.uint64(9 * BLOCK)] - u
-        w1 = data[at + np.uint64(10 * BLOCK)] - v - l10 * w0
-        w2 = data[at + np.uint64(11 * BLOCK)] - d - l20 * w0 - l21 * w1
+        w0 = data[at + _u64(9 * BLOCK)] - u
+        w1 = data[at + _u64(10 * BLOCK)] - v - l10 * w0
+        w2 = data[at + _u64(11 * BLOCK)] - d - l20 * w0 - l21 * w1
         b0, b1, b2 = b0 - l10 * a0, b1 - l10 * a1, b2 - l10 * a2
         scratch[j] = a0
-        scratch[j + np.uint64(BLOCK)] = a1
-        scratch[j + np.uint64(2 * BLOCK)] = a2
-        scratch[j + np.uint64(3 * BLOCK)] = b0
-        scratch[j + np.uint64(4 * BLOCK)] = b1
-        scratch[j + np.uint64(5 * BLOCK)] = b2
-        scratch[j + np.uint64(6 * BLOCK)] = c0 - l20 * a0 - l21 * b0
-        scratch[j + np.uint64(7 * BLOCK)] = c1 - l20 * a1 - l21 * b1
-        scratch[j + np.uint64(8 * BLOCK)] = c2 - l20 * a2 - l21 * b2
-        scratch[j + np.uint64(_INVERSE)] = i0
-        scratch[j + np.uint64(_INVERSE + BLOCK)] = i1
-        scratch[j + np.uint64(_INVERSE + 2 * BLOCK)] = i2
-        scratch[j + np.uint64(_RESIDUAL)] = w0
-        scratch[j + np.uint64(_RESIDUAL + BLOCK)] = w1
-        scratch[j + np.uint64(_RESIDUAL + 2 * BLOCK)] = w2
+        scratch[j + _u64(BLOCK)] = a1
+        scratch[j + _u64(2 * BLOCK)] = a2
+        scratch[j + _u64(3 * BLOCK)] = b0
+        scratch[j + _u64(4 * BLOCK)] = b1
+        scratch[j + _u64(5 * BLOCK)] = b2
+        scratch[j + _u64(6 * BLOCK)] = c0 - l20 * a0 - l21 * b0
+        scratch[j + _u64(7 * BLOCK)] = c1 - l20 * a1 - l21 * b1
+        scratch[j + _u64(8 * BLOCK)] = c2 - l20 * a2 - l21 * b2
+        scratch[j + _u64(_INVERSE)] = i0
+        scratch[j + _u64(_INVERSE + BLOCK)] = i1
+        scratch[j + _u64(_INVERSE + 2 * BLOCK)] = i2
+        scratch[j + _u64(_RESIDUAL)] = w0
+        scratch[j + _u64(_RESIDUAL + BLOCK)] = w1
+        scratch[j + _u64(_RESIDUAL + 2 * BLOCK)] = w2
         distance2 = w0 * w0 * i0 + w1 * w1 * i1 + w2 * w2 * i2
-        scratch[j + np.uint64(_DISTANCE)] = distance2 if in_front else _FAR_OFF
+        scratch[j + _u64(_DISTANCE)] = distance2 if in_front else _FAR_OFF
 
 
 @njit
-def _weigh(
+def weigh(
     among: FloatArray, first: int, per_kernel2: float, linear: float, square: float,
     scratch: FloatArray,
 ) -> None:  # fmt: skip
-    """Weights, M and q of one block from what `_whiten` left.
+    """Weights, M and q of one block from what `whiten` left.
 
     With w the Cauchy weight and m^2 the squared distance, the matrix is summed with
     ``linear w + square w^2 m^2``.
     """
-    start = np.uint64(first * BLOCK)
-    for j in range(np.uint64(BLOCK)):
-        distance2 = scratch[j + np.uint64(_DISTANCE)]
+    start = _u64(first * BLOCK)
+    for j in range(_u64(BLOCK)):
+        distance2 = scratch[j + _u64(_DISTANCE)]
         counts = among[start + j] if distance2 < _FAR_OFF else 0.0
         weight = 1.0 / (1.0 + distance2 * per_kernel2)
         in_matrix = counts * (linear * weight + square * weight * weight * distance2)
         weight *= counts
-        a0, a1 = scratch[j], scratch[j + np.uint64(BLOCK)]
-        a2, b0 = scratch[j + np.uint64(2 * BLOCK)], scratch[j + np.uint64(3 * BLOCK)]
-        b1, b2 = scratch[j + np.uint64(4 * BLOCK)], scratch[j + np.uint64(5 * BLOCK)]
-        c0, c1 = scratch[j + np.uint64(6 * BLOCK)], scratch[j + np.uint64(7 * BLOCK)]
-        c2, i0 = scratch[j + np.uint64(8 * BLOCK)], scratch[j + np.uint64(_INVERSE)]
-        i1 = scratch[j + np.uint64(_INVERSE + BLOCK)]
-        i2 = scratch[j + np.uint64(_INVERSE + 2 * BLOCK)]
-        w0 = weight * i0 * scratch[j + np.uint64(_RESIDUAL)]
-        w1 = weight * i1 * scratch[j + np.uint64(_RESIDUAL + BLOCK)]
-        w2 = weight * i2 * scratch[j + np.uint64(_RESIDUAL + 2 * BLOCK)]
-        scratch[j + np.uint64(_WEIGHT)] = in_matrix
-        scratch[j + np.uint64(_WEIGHT + BLOCK)] = weight
-        scratch[j + np.uint64(_Q)] = a0 * w0 + b0 * w1 + c0 * w2
-        scratch[j + np.uint64(_Q + BLOCK)] = a1 * w0 + b1 * w1 + c1 * w2
-        scratch[j + np.uint64(_Q + 2 * BLOCK)] = a2 * w0 + b2 * w1 + c2 * w2
+        a0, a1 = scratch[j], scratch[j + _u64(BLOCK)]
+        a2, b0 = scratch[j + _u64(2 * BLOCK)], scratch[j + _u64(3 * BLOCK)]
+        b1, b2 = scratch[j + _u64(4 * BLOCK)], scratch[j + _u64(5 * BLOCK)]
+        c0, c1 = scratch[j + _u64(6 * BLOCK)], scratch[j + _u64(7 * BLOCK)]
+        c2, i0 = scratch[j + _u64(8 * BLOCK)], scratch[j + _u64(_INVERSE)]
+        i1 = scratch[j + _u64(_INVERSE + BLOCK)]
+        i2 = scratch[j + _u64(_INVERSE + 2 * BLOCK)]
+        w0 = weight * i0 * scratch[j + _u64(_RESIDUAL)]
+        w1 = weight * i1 * scratch[j + _u64(_RESIDUAL + BLOCK)]
+        w2 = weight * i2 * scratch[j + _u64(_RESIDUAL + 2 * BLOCK)]
+        scratch[j + _u64(_WEIGHT)] = in_matrix
+        scratch[j + _u64(_WEIGHT + BLOCK)] = weight
+        scratch[j + _u64(_Q)] = a0 * w0 + b0 * w1 + c0 * w2
+        scratch[j + _u64(_Q + BLOCK)] = a1 * w0 + b1 * w1 + c1 * w2
+        scratch[j + _u64(_Q + 2 * BLOCK)] = a2 * w0 + b2 * w1 + c2 * w2
         i0, i1, i2 = in_matrix * i0, in_matrix * i1, in_matrix * i2
-        scratch[j + np.uint64(_M)] = i0 * a0 * a0 + i1 * b0 * b0 + i2 * c0 * c0
-        scratch[j + np.uint64(_M + BLOCK)] = i0 * a0 * a1 + i1 * b0 * b1 + i2 * c0 * c1
-        scratch[j + np.uint64(_M + 2 * BLOCK)] = i0 * a0 * a2 + i1 * b0 * b2 + i2 * c0 * c2
-        scratch[j + np.uint64(_M + 3 * BLOCK)] = i0 * a1 * a1 + i1 * b1 * b1 + i2 * c1 * c1
-        scratch[j + np.uint64(_M + 4 * BLOCK)] = i0 * a1 * a2 + i1 * b1 * b2 + i2 * c1 * c2
-        scratch[j + np.uint64(_M + 5 * BLOCK)] = i0 * a2 * a2 + i1 * b2 * b2 + i2 * c2 * c2
+        scratch[j + _u64(_M)] = i0 * a0 * a0 + i1 * b0 * b0 + i2 * c0 * c0
+        scratch[j + _u64(_M + BLOCK)] = i0 * a0 * a1 + i1 * b0 * b1 + i2 * c0 * c1
+        scratch[j + _u64(_M + 2 * BLOCK)] = i0 * a0 * a2 + i1 * b0 * b2 + i2 * c0 * c2
+        scratch[j + _u64(_M + 3 * BLOCK)] = i0 * a1 * a1 + i1 * b1 * b1 + i2 * c1 * c1
+        scratch[j + _u64(_M + 4 * BLOCK)] = i0 * a1 * a2 + i1 * b1 * b2 + i2 * c1 * c2
+        scratch[j + _u64(_M + 5 * BLOCK)] = i0 * a2 * a2 + i1 * b2 * b2 + i2 * c2 * c2
 
 
 @njit
-def _sum_block(
+def sum_block(
     data: FloatArray, first: int, scratch: FloatArray, sums: FloatArray, gradient: FloatArray
 ) -> None:
     """Add one block to the lower triangle of the 6 x 6 matrix and to the gradient."""
-    start = np.uint64(first * _STRIDE)
+    start = _u64(first * _STRIDE)
     g0 = g1 = g2 = g3 = g4 = g5 = 0.0
     t0 = t1 = t2 = t3 = t4 = t5 = 0.0
-    for j in range(np.uint64(BLOCK)):
-        x, y = data[start + j], data[start + j + np.uint64(BLOCK)]
-        z = data[start + j + np.uint64(2 * BLOCK)]
-        q0, q1 = scratch[j + np.uint64(_Q)], scratch[j + np.uint64(_Q + BLOCK)]
-        q2 = scratch[j + np.uint64(_Q + 2 * BLOCK)]
+    for j in range(_u64(BLOCK)):
+        x, y = data[start + j], data[start + j + _u64(BLOCK)]
+        z = data[start + j + _u64(2 * BLOCK)]
+        q0, q1 = scratch[j + _u64(_Q)], scratch[j + _u64(_Q + BLOCK)]
+        q2 = scratch[j + _u64(_Q + 2 * BLOCK)]
         g0 += y * q2 - z * q1
         g1 += z * q0 - x * q2
         g2 += x * q1 - y * q0
         g3 += q0
         g4 += q1
         g5 += q2
-        t0 += scratch[j + np.uint64(_M)]
-        t1 += scratch[j + np.uint64(_M + BLOCK)]
-        t2 += scratch[j + np.uint64(_M + 2 * BLOCK)]
-        t3 += scratch[j + np.uint64(_M + 3 * BLOCK)]
-        t4 += scratch[j + np.uint64(_M + 4 * BLOCK)]
-        t5 += scratch[j + np.uint64(_M + 5 * BLOCK)]
+        t0 += scratch[j + _u64(_M)]
+        t1 += scratch[j + _u64(_M + BLOCK)]
+        t2 += scratch[j + _u64(_M + 2 * BLOCK)]
+        t3 += scratch[j + _u64(_M + 3 * BLOCK)]
+        t4 += scratch[j + _u64(_M + 4 * BLOCK)]
+        t5 += scratch[j + _u64(_M + 5 * BLOCK)]
     for k, value in enumerate((g0, g1, g2, g3, g4, g5)):
         gradient[k] += value
     sums[3, 3] += t0
@@ -188,12 +180,12 @@ def _sum_block(
     sums[5, 5] += t5
     c00 = c01 = c02 = c10 = c11 = c12 = c20 = c21 = c22 = 0.0
     r00 = r10 = r20 = r11 = r21 = r22 = 0.0
-    for j in range(np.uint64(BLOCK)):
-        x, y = data[start + j], data[start + j + np.uint64(BLOCK)]
-        z = data[start + j + np.uint64(2 * BLOCK)]
-        xx, xy = scratch[j + np.uint64(_M)], scratch[j + np.uint64(_M + BLOCK)]
-        xz, yy = scratch[j + np.uint64(_M + 2 * BLOCK)], scratch[j + np.uint64(_M + 3 * BLOCK)]
-        yz, zz = scratch[j + np.uint64(_M + 4 * BLOCK)], scratch[j + np.uint64(_M + 5 * BLOCK)]
+    for j in range(_u64(BLOCK)):
+        x, y = data[start + j], data[start + j + _u64(BLOCK)]
+        z = data[start + j + _u64(2 * BLOCK)]
+        xx, xy = scratch[j + _u64(_M)], scratch[j + _u64(_M + BLOCK)]
+        xz, yy = scratch[j + _u64(_M + 2 * BLOCK)], scratch[j + _u64(_M + 3 * BLOCK)]
+        yz, zz = scratch[j + _u64(_M + 4 * BLOCK)], scratch[j + _u64(_M + 5 * BLOCK)]
         # B = [X]x M, then [X]x M [X]x^T, whose columns are X x (rows of B)
         b00, b01, b02 = y * xz - z * xy, y * yz - z * yy, y * zz - z * yz
         b10, b11, b12 = z * xx - x * xz, z * xy - x * yz, z * xz - x * zz
@@ -277,9 +269,9 @@ def distances(camera: FloatArray, motion: FloatArray, data: FloatArray, chi2: Fl
     chi2
         (B * BLOCK,), filled.
     """
-    scratch = np.zeros(_SCRATCH)
+    scratch = np.zeros(SCRATCH)
     for block in range(len(chi2) // BLOCK):
-        _whiten(camera, motion, data, block, scratch)
+        whiten(camera, motion, data, block, scratch)
         for j in range(BLOCK):
             chi2[block * BLOCK + j] = scratch[_DISTANCE + j]
 
@@ -306,11 +298,11 @@ def normal_equations(
     """
     size = 6 + terms.shape[2]
     sums, gradient = np.zeros((size, size)), np.zeros(size)
-    scratch = np.zeros(_SCRATCH)
+    scratch = np.zeros(SCRATCH)
     for block in range(len(chi2) // BLOCK):
-        _whiten(camera, motion, data, block, scratch)
-        _weigh(among, block, per_kernel2, linear, square, scratch)
-        _sum_block(data, block, scratch, sums, gradient)
+        whiten(camera, motion, data, block, scratch)
+        weigh(among, block, per_kernel2, linear, square, scratch)
+        sum_block(data, block, scratch, sums, gradient)
         if size > 6:
             _sum_terms(data, terms, len(terms), block, scratch, sums, gradient)
         for j in range(BLOCK):
@@ -319,92 +311,3 @@ def normal_equations(
         for m in range(k):
             sums[m, k] = sums[k, m]
     return sums, gradient
-
-
-@njit
-def _cholesky_solve(matrix: FloatArray, x: FloatArray) -> bool:
-    """Replace x by the solution, the lower triangle by its factor; False where singular."""
-    for a in range(6):
-        least = _LEAST_PIVOT * matrix[a, a]
-        for b in range(a + 1):
-            entry = matrix[a, b]
-            for c in range(b):
-                entry -= matrix[a, c] * matrix[b, c]
-            if b < a:
-                matrix[a, b] = entry / matrix[b, b]
-            elif entry <= least:
-                return False
-            else:
-                matrix[a, a] = math.sqrt(entry)
-    for a in range(6):
-        for b in range(a):
-            x[a] -= matrix[a, b] * x[b]
-        x[a] /= matrix[a, a]
-    for a in range(5, -1, -1):
-        for b in range(a + 1, 6):
-            x[a] -= matrix[b, a] * x[b]
-        x[a] /= matrix[a, a]
-    return True
-
-
-@njit
-def _moved(motion: FloatArray, step: FloatArray) -> FloatArray:
-    """``motion @ se3_exp(step)``."""
-    angle2 = step[0] ** 2 + step[1] ** 2 + step[2] ** 2
-    angle = math.sqrt(angle2)
-    if angle < _SMALL_ANGLE_RAD:
-        a, b, c = 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0, 1.0 / 6.0 - angle2 / 120.0
-    else:
-        a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle2
-        c = (angle - math.sin(angle)) / (angle2 * angle)
-    k = np.zeros((3, 3))
-    k[0, 1], k[0, 2], k[1, 2] = -step[2], step[1], -step[0]
-    k[1, 0], k[2, 0], k[2, 1] = step[2], -step[1], step[0]
-    result = np.zeros((4, 4))
-    turn, shift = np.zeros((3, 3)), np.zeros(3)
-    for i in range(3):
-        for j in range(3):
-            square = 0.0
-            for m in range(3):
-                square += k[i, m] * k[m, j]
-            one = 1.0 if i == j else 0.0
-            turn[i, j] = one + a * k[i, j] + b * square
-            shift[i] += (one + b * k[i, j] + c * square) * step[3 + j]
-    for i in range(3):
-        result[i, 3] = motion[i, 3]
-        for j in range(3):
-            result[i, 3] += motion[i, j] * shift[j]
-            for m in range(3):
-                result[i, j] += motion[i, m] * turn[m, j]
-    result[3, 3] = 1.0
-    return result
-
-
-@kernel
-def gauss_newton(
-    camera: FloatArray, motion: FloatArray, data: FloatArray, among: FloatArray,
-    per_kernel2: float, iterations: int,
-) -> FloatArray:  # fmt: skip
-    """Motion (4, 4) after at most so many steps; as it is where the system is singular."""
-    scratch = np.zeros(_SCRATCH)
-    sums, gradient, step = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
-    for _ in range(iterations):
-        sums[:] = 0.0
-        gradient[:] = 0.0
-        for block in range(len(among) // BLOCK):
-            _whiten(camera, motion, data, block, scratch)
-            _weigh(among, block, per_kernel2, 1.0, 0.0, scratch)
-            _sum_block(data, block, scratch, sums, gradient)
-        step[:] = gradient
-        if not _cholesky_solve(sums, step):
-            break
-        length2 = largest = 0.0
-        for k in range(6):
-            length2 += gradient[k] * step[k]
-            largest = max(largest, abs(step[k]))
-        if largest > _LARGEST_STEP:
-            break
-        motion = _moved(motion, step)
-        if length2 < _LEAST_STEP2:
-            break
-    return motion

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontends.camera import StereoCamera
+from frontends.gauss_newton import gauss_newton
 from frontends.measurements import StereoObservations
-from frontends.normal_equations import BLOCK, ROWS, distances, gauss_newton, normal_equations
+from frontends.normal_equations import BLOCK, ROWS, distances, normal_equations
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]

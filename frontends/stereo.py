@@ -11,19 +11,14 @@ from annotated_types import Ge, Gt, Le
 from numpy.typing import NDArray
 
 from frontends.camera import StereoCamera
-from frontends.detector import FeatureDetector
+from frontends.detector import DescribedPair, FeatureDetector
 from frontends.disparity import RefinedDisparities, refine_disparities
 from frontends.errors import InputError
-from frontends.matching import Matches, SearchWindows, match_descriptors, match_in_windows
+from frontends.matching import Matches, SearchWindows, match_in_windows
 from frontends.measurements import StereoFrame, StereoObservations
-from frontends.rectification import (
-    RectificationError,
-    observe,
-    robust_fit,
-    vertical_basis,
-    within_range,
-)
+from frontends.rectification import RectificationError, observe, within_range
 from frontends.surf import SURF, Keypoints
+from frontends.vertical_field import ENOUGH_PAIRS, fit_vertical, measure_vertical
 
 FloatArray = NDArray[np.float64]
 
@@ -118,11 +113,6 @@ class StereoPerception:
         Feature detector; upright SURF by default.
     """
 
-    #: Pairs needed before the vertical field is trusted.
-    _ENOUGH_PAIRS = 30
-    _PAIRS_FOR_A_FIELD = 100
-    #: The vertical offset is looked for within this share of the image height.
-    _VERTICAL_SEARCH = 0.05
     _BEYOND_INFINITY_PX = -3.0
     #: Of the pairs of an aligned rig the images confirm far more, of chance pairs far fewer.
     _LEAST_CONFIRMED = 0.4
@@ -158,13 +148,13 @@ class StereoPerception:
             other = thread.submit(self._detector.detectAndCompute, frame.right)
             left, left_descriptors = self._detector.detectAndCompute(frame.left)
             right, right_descriptors = other.result()
-        described = (left, left_descriptors, right, right_descriptors)
+        described = DescribedPair(left, left_descriptors, right, right_descriptors)
         if not self.vertical_measured:
-            self._measure_vertical(*described, frame)
-        pairs, found = self._match_and_refine(frame, *described)
+            self._measure_vertical(frame, described)
+        pairs, found = self._match_and_refine(frame, described)
         if self._misaligned(found):
-            self._measure_vertical(*described, frame)
-            pairs, found = self._match_and_refine(frame, *described)
+            self._measure_vertical(frame, described)
+            pairs, found = self._match_and_refine(frame, described)
             if self._misaligned(found):
                 # chance pairs have any depth: only those that the images confirm are kept
                 pairs, found = pairs.select(found.confirmed), found.select(found.confirmed)
@@ -214,61 +204,24 @@ class StereoPerception:
                     remedy="check the calibration's width and height",
                 )
 
-    def _measure_vertical(
-        self,
-        left: Keypoints,
-        left_descriptors: NDArray[np.float32],
-        right: Keypoints,
-        right_descriptors: NDArray[np.float32],
-        frame: StereoFrame,
-    ) -> None:
-        """Fit the vertical field to matches made without it; check left and right."""
-        pairs = match_descriptors(left_descriptors, right_descriptors, ratio=0.7)
-        offset = (left.xy[pairs.query] - right.xy[pairs.train]).astype(np.float64)
-        near = np.abs(offset[:, 1]) < self._VERTICAL_SEARCH * self.camera.height
-        if near.sum() < self._ENOUGH_PAIRS:
+    def _measure_vertical(self, frame: StereoFrame, described: DescribedPair) -> None:
+        """Fit the vertical field to matches made without it, then to refined pairs."""
+        measured = measure_vertical(self.camera, described, f"frame {frame.index}")
+        if measured is None:
             return
-        uv = left.xy[pairs.query][near].astype(np.float64)
-        basis = vertical_basis(self.camera, uv[:, 0], uv[:, 1])
-        coefficients, scale = self._fit_vertical(basis, offset[near, 1])
-        agree = np.abs(offset[near, 1] - basis @ coefficients) < 3.0 * scale
-        disparity = offset[near, 0][agree]
-        negative = float(np.mean(disparity < -1.0)) if len(disparity) else 0.0
-        if len(disparity) >= self._ENOUGH_PAIRS and negative > 0.5:
-            raise InputError(
-                f"{negative:.0%} of {len(disparity)} matches have a negative disparity",
-                source=f"frame {frame.index}",
-                remedy="left and right look swapped: exchange them",
-            )
-        self.rectification = replace(self.rectification, vertical_px=coefficients)
+        self.rectification = replace(self.rectification, vertical_px=measured)
         self.vertical_measured = True
-        self._sharpen_vertical(frame, left, left_descriptors, right, right_descriptors)
-
-    def _sharpen_vertical(
-        self,
-        frame: StereoFrame,
-        left: Keypoints,
-        left_descriptors: NDArray[np.float32],
-        right: Keypoints,
-        right_descriptors: NDArray[np.float32],
-    ) -> None:
-        """Fit the vertical field once more, to refined pairs: keypoints scatter more."""
-        pairs, found = self._match_and_refine(
-            frame, left, left_descriptors, right, right_descriptors
-        )
+        pairs, found = self._match_and_refine(frame, described)
         good = found.confirmed
-        if good.sum() < self._ENOUGH_PAIRS:
+        if good.sum() < ENOUGH_PAIRS:
             return
-        uv = left.xy[pairs.query][good].astype(np.float64)
-        basis = vertical_basis(self.camera, uv[:, 0], uv[:, 1])
-        correction, _ = self._fit_vertical(basis, found.vertical_px[good])
-        self.rectification = replace(
-            self.rectification, vertical_px=self.rectification.vertical_px + correction
-        )
+        uv = described.left.xy[pairs.query][good].astype(np.float64)
+        correction = fit_vertical(self.camera, uv, found.vertical_px[good])
+        self.rectification = replace(self.rectification, vertical_px=measured + correction)
 
     def _follow(self, found: RefinedDisparities) -> None:
         """Move the vertical field, from the next frame on, with a rig that bends slowly."""
-        if found.confirmed.sum() < self._ENOUGH_PAIRS:
+        if found.confirmed.sum() < ENOUGH_PAIRS:
             return
         shift = float(np.median(found.vertical_px[found.confirmed]))
         if abs(shift) > self._NOTEWORTHY_SHIFT_PX:
@@ -276,70 +229,40 @@ class StereoPerception:
             moved[0] += shift
             self.rectification = replace(self.rectification, vertical_px=moved)
 
-    def _fit_vertical(self, basis: FloatArray, values: FloatArray) -> tuple[FloatArray, float]:
-        """Coefficients and scale; few pairs tell the constant only."""
-        terms = basis.shape[1] if len(basis) >= self._PAIRS_FOR_A_FIELD else 1
-        coefficients, scale = robust_fit(basis[:, :terms], values)
-        return np.pad(coefficients, (0, basis.shape[1] - terms)), scale
-
-    def _refined(
-        self,
-        frame: StereoFrame,
-        left_uv: FloatArray,
-        disparity_px: FloatArray,
-        sigma_px: FloatArray,
-    ) -> RefinedDisparities:
-        return refine_disparities(
-            frame.left,
-            frame.right,
-            left_uv,
-            disparity_px,
-            self.rectification.vertical_at(self.camera, left_uv[:, 0], left_uv[:, 1]),
-            4.0 * np.maximum(sigma_px, 0.25),
-        )
-
-    def _match_band(
-        self,
-        left: Keypoints,
-        left_descriptors: NDArray[np.float32],
-        right: Keypoints,
-        right_descriptors: NDArray[np.float32],
-    ) -> Matches:
+    def _match_and_refine(
+        self, frame: StereoFrame, described: DescribedPair
+    ) -> tuple[Matches, RefinedDisparities]:
         """Match along the epipolar lines: equal v, disparity from infinity to the nearest depth.
 
         The search begins a little beyond infinity: noise puts half of the far points there.
         """
+        left, right = described.left, described.right
         uv = left.xy.astype(np.float64)
+        vertical = self.rectification.vertical_at(self.camera, uv[:, 0], uv[:, 1])
         least = self._BEYOND_INFINITY_PX
         widest = self.camera.fx / self.config.near_baselines - least
-        windows = SearchWindows(
-            uv[:, 0] - least - 0.5 * widest,
-            uv[:, 1] - self.rectification.vertical_at(self.camera, uv[:, 0], uv[:, 1]),
-            0.5 * widest,
-            self.config.band_px,
-        )
-        return match_in_windows(
-            left_descriptors,
+        pairs = match_in_windows(
+            described.left_descriptors,
             left.laplacian,
-            windows,
-            right_descriptors,
+            SearchWindows(
+                uv[:, 0] - least - 0.5 * widest,
+                uv[:, 1] - vertical,
+                0.5 * widest,
+                self.config.band_px,
+            ),
+            described.right_descriptors,
             right.laplacian,
             right.xy.astype(np.float64),
         )
-
-    def _match_and_refine(
-        self,
-        frame: StereoFrame,
-        left: Keypoints,
-        left_descriptors: NDArray[np.float32],
-        right: Keypoints,
-        right_descriptors: NDArray[np.float32],
-    ) -> tuple[Matches, RefinedDisparities]:
-        pairs = self._match_band(left, left_descriptors, right, right_descriptors)
-        uv = left.xy[pairs.query].astype(np.float64)
-        disparity = uv[:, 0] - right.xy[pairs.train, 0]
         sigma = np.sqrt(2.0) * self.config.stereo_localisation_sigma * _scale(left, pairs.query)
-        return pairs, self._refined(frame, uv, disparity, sigma)
+        return pairs, refine_disparities(
+            frame.left,
+            frame.right,
+            uv[pairs.query],
+            uv[pairs.query, 0] - right.xy[pairs.train, 0],
+            vertical[pairs.query],
+            4.0 * np.maximum(sigma, 0.25),
+        )
 
     def _misaligned(self, found: RefinedDisparities) -> bool:
         """Whether the images confirm so few of the pairs that their rows cannot be the same.
@@ -347,7 +270,7 @@ class StereoPerception:
         A rig that was bent since the vertical field was measured shows so: its pairs are then
         chance ones, with any depth.
         """
-        enough = len(found.confirmed) >= self._ENOUGH_PAIRS
+        enough = len(found.confirmed) >= ENOUGH_PAIRS
         return enough and float(found.confirmed.mean()) < self._LEAST_CONFIRMED
 
     def _precision(
@@ -361,7 +284,7 @@ class StereoPerception:
         """
         sigma_disparity = np.sqrt(2.0) * sigma
         good = found.confirmed
-        if good.sum() < self._ENOUGH_PAIRS:
+        if good.sum() < ENOUGH_PAIRS:
             return disparity, sigma_disparity, 0, float("nan")
         epipolar = 1.4826 * float(np.median(np.abs(found.vertical_px[good])))
         rig2 = max(epipolar**2 - float(np.median(found.sigma_px[good] ** 2)), 0.0)
