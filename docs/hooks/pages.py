@@ -27,7 +27,8 @@ from lunar_fg.config import Config
 REFERENCE = {
     "frontends": (
         "measurements", "camera", "stereo", "tracking", "relative", "detector", "surf.surf",
-        "matching.nearest", "matching.homography", "disparity_check", "photometry", "errors",
+        "matching.nearest", "matching.homography", "matching.epipolar",
+        "matching.chance", "mosaic", "disparity_check", "photometry", "errors",
     ),
     "lunar_fg": (
         "navigator", "config", "runs", "log", "trajectory", "trajectory_io", "datasets.base",
