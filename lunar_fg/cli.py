@@ -13,6 +13,7 @@ from lunar_fg.commands.campaign import campaign
 from lunar_fg.commands.demo import demo
 from lunar_fg.commands.doctor import doctor
 from lunar_fg.commands.evaluate import evaluate
+from lunar_fg.commands.export import export
 from lunar_fg.commands.fixes import fixes
 from lunar_fg.commands.geo import geo
 from lunar_fg.commands.match import match
@@ -71,6 +72,7 @@ app.command()(guarded(doctor))
 app.command()(guarded(warmup))
 app.command()(guarded(match))
 app.command()(guarded(campaign))
+app.command()(guarded(export))
 app.command()(guarded(fixes))
 app.command()(guarded(geo))
 app.command()(guarded(mosaic))

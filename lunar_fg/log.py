@@ -6,7 +6,7 @@ import json
 import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, astuple
+from dataclasses import asdict, astuple, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -37,7 +37,7 @@ from lunar_fg.log_rows import (
 )
 from lunar_fg.record import FrameRecord
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 
 
 class TraverseLog:
@@ -193,12 +193,17 @@ class TraverseLog:
     def begin(self, sitting: Sitting) -> None:
         """Note the dataset that the next frames are of."""
         with self._transaction():
-            marks = "(SELECT count(*) FROM sitting), ?, ?, ?, ?, ?"
-            self._db.execute(f"INSERT INTO sitting VALUES ({marks})", astuple(sitting))
+            *values, calibration = astuple(sitting)
+            marks = "(SELECT count(*) FROM sitting), ?, ?, ?, ?, ?, ?"
+            values.append(json.dumps(calibration))
+            self._db.execute(f"INSERT INTO sitting VALUES ({marks})", values)
 
     def sittings(self) -> list[Sitting]:
         """Datasets of the run, in order."""
-        return [Sitting(*row[1:]) for row in self._query("SELECT * FROM sitting ORDER BY number")]
+        rows = self._query("SELECT * FROM sitting ORDER BY number")
+        return [
+            replace(Sitting(*row[1:-1]), calibration=tuple(json.loads(row[-1]))) for row in rows
+        ]
 
     def append(
         self,

@@ -16,7 +16,7 @@ class Sitting:
 
     Attributes
     ----------
-    dataset, images, traverse
+    dataset, images, traverse, calibration
         As given to `lunar_fg.datasets.open_dataset`.
     index_offset, stamp_offset_s
         What its frame numbers and stamps were raised by to follow the sitting before.
@@ -27,6 +27,7 @@ class Sitting:
     traverse: str | None = None
     index_offset: int = 0
     stamp_offset_s: float = 0.0
+    calibration: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

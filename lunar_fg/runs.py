@@ -342,6 +342,8 @@ def _drive(
             except (LunarFgError, OSError) as second:
                 logger.error("and the results could not be written whole: %s", second)
         raise
+    if not navigator.reports:
+        raise InputError("has no frame", source=dataset.path, remedy="give images")
     metrics = _conclude(dataset, folder, navigator, (), route)
     if navigator.frames_usable == 0:
         raise InputError(

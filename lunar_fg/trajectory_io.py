@@ -39,6 +39,12 @@ class _Table:
     lines: tuple[int, ...]
     header: tuple[str, ...] | None
     commas: bool
+    said_nanoseconds: bool = False
+
+    @property
+    def nanoseconds(self) -> bool:
+        """Whether the stamps are: by a comment that says so, or too large for seconds."""
+        return self.said_nanoseconds or bool(self.values[0, 0] > _NANOSECONDS_FROM)
 
     def error(self, row: int, problem: str, remedy: str | None = None) -> InputError:
         return InputError(problem, source=self.path, field=f"line {self.lines[row]}", remedy=remedy)
@@ -69,7 +75,7 @@ def read_track(path: str | Path) -> Truth:
     table = _read_table(Path(path))
     columns = table.values.shape[1]
     if table.commas and columns in _EUROC_COLUMNS:
-        euroc = columns != 8 or bool(table.values[0, 0] > _NANOSECONDS_FROM)
+        euroc = columns != 8 or table.nanoseconds
         return _poses_from_quaternions(table, euroc=euroc)
     if table.commas:
         return _positions(table)
@@ -105,6 +111,18 @@ def kitti_text(trajectory: Trajectory) -> str:
     """Whole KITTI file of a trajectory: rows of the 3x4 matrices, no stamps."""
     rows = trajectory.map_T_rover[:, :3].reshape(-1, 12)
     return "".join(" ".join(f"{value:.12e}" for value in row) + "\n" for row in rows)
+
+
+def euroc_text(trajectory: Trajectory) -> str:
+    """Whole EuRoC file of a trajectory: nanoseconds, position, quaternion with w first."""
+    header = "#timestamp [ns],p_x [m],p_y [m],p_z [m],q_w [],q_x [],q_y [],q_z []"
+    quaternions = Rotation.from_matrix(trajectory.map_T_rover[:, :3, :3]).as_quat(canonical=True)
+    rows = np.column_stack([trajectory.positions, quaternions[:, [3, 0, 1, 2]]]).tolist()
+    lines = [
+        ",".join([str(round(stamp * 1e9)), *map(repr, row)])
+        for stamp, row in zip(trajectory.stamp_s.tolist(), rows, strict=True)
+    ]
+    return "\n".join([header, *lines, ""])
 
 
 def position_text(track: PositionTrack) -> str:
@@ -145,9 +163,11 @@ def _read_table(path: Path) -> _Table:
     commas: bool | None = None
     rows: list[list[float]] = []
     lines: list[int] = []
+    said_nanoseconds = False
     for number, raw in enumerate(text.splitlines(), start=1):
         line = raw.strip()
         if not line or line.startswith("#"):
+            said_nanoseconds = said_nanoseconds or (not rows and "[ns]" in line)
             continue
         commas = "," in line if commas is None else commas
         words = [word.strip() for word in line.split(",")] if commas else line.split()
@@ -175,7 +195,8 @@ def _read_table(path: Path) -> _Table:
         lines.append(number)
     if not rows:
         raise InputError("holds no pose", source=path, remedy=f"known: {_FORMATS}")
-    return _Table(path, np.array(rows, dtype=np.float64), tuple(lines), header, bool(commas))
+    values = np.array(rows, dtype=np.float64)
+    return _Table(path, values, tuple(lines), header, bool(commas), said_nanoseconds)
 
 
 def _poses_from_quaternions(table: _Table, *, euroc: bool) -> Trajectory:
@@ -239,7 +260,7 @@ def _stamps(table: _Table, stamps: FloatArray) -> FloatArray:
             f"stamp {stamps[row + 1]:.9f} does not come after {stamps[row]:.9f}",
             "stamps must increase strictly",
         )
-    return np.asarray(stamps * 1e-9 if stamps[0] > _NANOSECONDS_FROM else stamps)
+    return np.asarray(stamps * 1e-9 if table.nanoseconds else stamps)
 
 
 def _is_number(word: str) -> bool:

@@ -33,7 +33,8 @@ def resume(
     sitting = runs.last_sitting(folder)
     if dataset is not None:
         sitting = replace(sitting, dataset=str(dataset))
-    opened = open_dataset(sitting.dataset, sitting.images, sitting.traverse)
+    calibration = [Path(path) for path in sitting.calibration]
+    opened = open_dataset(sitting.dataset, sitting.images, sitting.traverse, calibration)
     route = route_of(folder, opened)
     with navigating(folder, opened.name, len(opened)) as advance:
         metrics = runs.resume(opened, folder, advance, route)

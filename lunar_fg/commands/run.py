@@ -8,12 +8,14 @@ from typing import Annotated
 import typer
 
 from lunar_fg import runs
+from lunar_fg.commands.follow import follow as follow_command
 from lunar_fg.commands.progress import navigating
 from lunar_fg.commands.resume import route_of
 from lunar_fg.commands.shared import Overwrite, out
 from lunar_fg.config import Config, read_config
 from lunar_fg.console import run_summary
 from lunar_fg.datasets import open_dataset
+from lunar_fg.follow import Policy
 from lunar_fg.log_entries import Sitting
 from lunar_fg.route_file import watch
 from lunar_fg.run_folder import RunFolder
@@ -48,13 +50,34 @@ def run(
     gap: Annotated[
         float | None, typer.Option(help="Seconds before that sitting, if stamps do not tell.")
     ] = None,
+    follow: Annotated[
+        bool, typer.Option("--follow", help="Take image pairs as they arrive in left/ and right/.")
+    ] = False,
+    policy: Annotated[
+        Policy, typer.Option(help="With --follow: every pair, or the newest when they pile up.")
+    ] = Policy.EVERY,
+    quiet_s: Annotated[
+        float | None, typer.Option("--quiet", help="With --follow: end after so many s without.")
+    ] = None,
+    estimates: Annotated[
+        Path | None, typer.Option(help="With --follow: JSON lines into a file, not to stdout.")
+    ] = None,
 ) -> None:
     """Navigate through a stereo sequence.
 
     Example: lunar-fg run my-traverse -o runs/first
     """
+    if follow:
+        settings = _settings(config, seed)
+        follow_command(dataset, traverse, output, settings, overwrite, policy, quiet_s, estimates)
+        return
     opened = open_dataset(dataset, images, traverse, calibration or ())
-    sitting = Sitting(str(dataset.resolve()), _absolute(images), _absolute(traverse))
+    sitting = Sitting(
+        str(dataset.resolve()),
+        _absolute(images),
+        _absolute(traverse),
+        calibration=tuple(str(path.resolve()) for path in calibration or ()),
+    )
     if append:
         _refuse_with_append(config=config, seed=seed, overwrite=overwrite or None, route=route)
         folder = RunFolder.open(output)
@@ -62,9 +85,7 @@ def run(
             planned = route_of(folder, opened)
             metrics = runs.append(opened, folder, sitting, gap, advance, planned)
     else:
-        settings = Config() if config is None else read_config(config)
-        if seed is not None:
-            settings = settings.model_copy(update={"seed": seed})
+        settings = _settings(config, seed)
         monitor = None if route is None else watch(route, opened, settings.route)
         folder = RunFolder.create(output, settings, overwrite=overwrite)
         RunSource.of(opened, images, traverse, calibration=calibration or ()).write(folder)
@@ -73,6 +94,11 @@ def run(
         with navigating(folder, opened.name, len(opened)) as advance:
             metrics = runs.run(opened, folder, settings, advance, monitor, sitting)
     out.print(run_summary(opened.name, metrics, output), markup=False)
+
+
+def _settings(config: Path | None, seed: int | None) -> Config:
+    settings = Config() if config is None else read_config(config)
+    return settings if seed is None else settings.model_copy(update={"seed": seed})
 
 
 def _absolute(path: Path | None) -> str | None:

@@ -17,6 +17,8 @@ from lunar_fg.datasets.tables import FrameRow, Table, read_csv
 FRAME_POSITIONS = "ground_truth.csv"
 #: Assumed time between frames where nothing dates them.
 PERIOD_S = 1.0
+#: Larger frame numbers are times in nanoseconds.
+NANOSECONDS_FROM = 10**14
 
 
 def pair_by_name(path: Path) -> tuple[tuple[FrameRow, ...], str | None, GroundTruth | None]:
@@ -44,7 +46,7 @@ def pair_by_name(path: Path) -> tuple[tuple[FrameRow, ...], str | None, GroundTr
                 field=f"{side}/{alone[0]}",
                 remedy="images are paired by name: add it, or remove its partner",
             )
-    numbered = sorted((_number(path, name), name) for name in names["left"])
+    numbered = sorted((frame_number(path, name), name) for name in names["left"])
     table = _frame_positions(path)
     truth = None if table is None else _truth(table)
     times = None
@@ -59,7 +61,7 @@ def pair_by_name(path: Path) -> tuple[tuple[FrameRow, ...], str | None, GroundTr
                 source=path / FRAME_POSITIONS,
                 remedy="add the row, or write a frames.csv",
             )
-        stamp = PERIOD_S * frame if times is None else times[frame]
+        stamp = stamp_of(frame) if times is None else times[frame]
         rows.append(FrameRow(line, frame, stamp, f"left/{name}", f"right/{name}"))
     note = None if times is not None else f"frames are taken to be {PERIOD_S:g} s apart"
     return tuple(rows), note, truth
@@ -90,9 +92,21 @@ def _images(folder: Path) -> list[str]:
     return images
 
 
-def _number(path: Path, name: str) -> int:
+def stamp_of(number: int) -> float:
+    """Time of a frame that only its number dates, s: nanoseconds where it is that large."""
+    return 1e-9 * number if number >= NANOSECONDS_FROM else PERIOD_S * number
+
+
+def frame_number(path: Path, name: str) -> int:
+    """Number in an image's name: the last one there is.
+
+    Raises
+    ------
+    InputError
+        There is none.
+    """
     digits = re.findall(r"\d+", Path(name).stem)
-    if not digits or len(digits[-1]) > 12:
+    if not digits or len(digits[-1]) > 18:
         raise InputError(
             f"left/{name[:100]} has no frame number in its name",
             source=path,

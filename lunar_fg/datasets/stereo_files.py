@@ -62,9 +62,10 @@ class StereoFiles:
 
     def frames(self, after: int = -1) -> Iterator[StereoFrame | UnusableFrame]:
         """Read the frames above an index; one whose images cannot be used has the reason."""
-        return map(self._read, (pair for pair in self.pairs if pair.index > after))
+        return map(self.read, (pair for pair in self.pairs if pair.index > after))
 
-    def _read(self, pair: StereoPair) -> StereoFrame | UnusableFrame:
+    def read(self, pair: StereoPair) -> StereoFrame | UnusableFrame:
+        """Read one pair of this camera; with the reason where its images cannot be used."""
         try:
             left, right = self._read_image(pair.left), self._read_image(pair.right)
         except InputError as error:
