@@ -16,6 +16,7 @@ from lunar_fg.commands.evaluate import evaluate
 from lunar_fg.commands.export import export
 from lunar_fg.commands.fixes import fixes
 from lunar_fg.commands.geo import geo
+from lunar_fg.commands.map import terrain_map
 from lunar_fg.commands.match import match
 from lunar_fg.commands.mosaic import mosaic
 from lunar_fg.commands.optimize import optimize
@@ -39,7 +40,7 @@ app = typer.Typer(
     lunar-fg demo                            a whole drive, without any data
     lunar-fg run MY-TRAVERSE -o runs/first   navigate through stereo images
     lunar-fg report runs/first               one page on what came out
-    lunar-fg run --help                      every command has its help, with an example
+    lunar-fg run --help                      help on a command, with an example
     """,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -76,6 +77,7 @@ app.command()(guarded(export))
 app.command()(guarded(fixes))
 app.command()(guarded(geo))
 app.command()(guarded(mosaic))
+app.command(name="map")(guarded(terrain_map))
 app.command()(guarded(report))
 app.command()(guarded(simulate))
 app.command()(guarded(pointing))

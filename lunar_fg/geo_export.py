@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import os
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,10 @@ import shapely
 from numpy.typing import NDArray
 
 from frontends.errors import InputError
+from frontends.measurements import AbsoluteFix
 from lunar_fg.georeference import CRS_TAG, Georeference, authority_code
+from lunar_fg.graph.ledger import LedgerEntry
+from lunar_fg.ledger import entry_values
 from lunar_fg.results import RunResults
 from lunar_fg.run_folder import write_whole
 from lunar_fg.trajectory import Trajectory
@@ -33,6 +36,11 @@ Column = NDArray[Any]
 
 #: Corners of an ellipse.
 _CORNERS = 48
+#: What the ledger says of a fix in a table.
+_FIX_COLUMNS = (
+    "keyframe", "proposer", "score", "inliers", "second_best_ratio", "mahalanobis", "verdict",
+    "reason",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,6 +79,9 @@ def layers(results: RunResults) -> Iterator[Layer]:
     if trajectory.covariance is not None:
         yield _ellipses(trajectory)
     yield _poses(trajectory)
+    fixes = _fixes(results.ledger)
+    if len(fixes.geometries):
+        yield fixes
 
 
 def write_geopackage(results: RunResults, path: Path) -> None:
@@ -203,6 +214,36 @@ def _poses(trajectory: Trajectory) -> Layer:
         names = ("sigma_yaw_rad", "sigma_x_m", "sigma_y_m", "sigma_z_m")
         columns |= {name: sigmas[:, axis] for name, axis in zip(names, (2, 3, 4, 5), strict=True)}
     return Layer("poses", "Point Z", shapely.points(trajectory.positions), columns)
+
+
+def _fixes(ledger: Sequence[LedgerEntry]) -> Layer:
+    """Places of the absolute fixes: the believed one, else the best."""
+    rows, places = [], []
+    for entry in ledger:
+        measurement = entry.measurement
+        if not isinstance(measurement, AbsoluteFix) or not measurement.candidates:
+            continue
+        place = measurement.candidates[entry.ruling.candidate or 0]
+        height = 0.0 if measurement.height_m is None else measurement.height_m
+        places.append([place.x_m, place.y_m, height])
+        rows.append(
+            {
+                **{k: v for k, v in entry_values(entry).items() if k in _FIX_COLUMNS},
+                "yaw_deg": np.rad2deg(place.yaw_rad),
+                "sigma_x_m": np.sqrt(place.covariance[0, 0]),
+                "sigma_y_m": np.sqrt(place.covariance[1, 1]),
+            }
+        )
+    names = rows[0] if rows else {}
+    columns = {name: _column([row[name] for row in rows]) for name in names}
+    points = np.array(places, dtype=np.float64).reshape(-1, 3)
+    return Layer("fixes", "Point Z", shapely.points(points), columns)
+
+
+def _column(values: list[Any]) -> Column:
+    if all(isinstance(value, str) for value in values):
+        return np.array(values, dtype=object)
+    return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
 
 
 def _transformed(shapes: NDArray[np.object_], move: Any) -> NDArray[np.object_]:

@@ -10,6 +10,7 @@ from frontends.errors import InputError
 from frontends.measurements import Estimate
 from lunar_fg.frame_table import FrameTable
 from lunar_fg.georeference import Georeference
+from lunar_fg.graph.ledger import Height, LedgerEntry
 from lunar_fg.log import TraverseLog
 from lunar_fg.route import PlannedRoute
 from lunar_fg.route_file import read_route
@@ -44,6 +45,8 @@ class RunResults:
         Where images and maps lie; where the map frame lies.
     route
         Planned route.
+    ledger
+        Every absolute fix and loop closure with all verdicts on it.
     frames
         Counts and times of every frame.
     metrics, config
@@ -61,6 +64,7 @@ class RunResults:
     source: RunSource | None
     georeference: Georeference | None
     route: PlannedRoute | None
+    ledger: tuple[LedgerEntry, ...]
     frames: FrameTable | None
     metrics: dict[str, Any]
     config: dict[str, Any]
@@ -95,16 +99,18 @@ def read_results(folder: RunFolder) -> RunResults:
     georeference = None
     if reference is not None:
         georeference = attempt(lambda: Georeference.of(reference, folder.source_path), None)
+    estimates, ledger = attempt(lambda: _logged(folder), ((), ()))
     return RunResults(
         folder=folder,
         name=folder.path.resolve().name if source is None else source.name,
         trajectory=trajectory,
-        estimates=attempt(lambda: _estimates(folder), ()),
+        estimates=estimates,
         dead_reckoning=attempt(lambda: _track(folder, DEAD_RECKONING), None),
         truth=attempt(folder.read_truth, None),
         source=source,
         georeference=georeference,
         route=attempt(lambda: _route(folder, georeference), None),
+        ledger=tuple(entry for entry in ledger if not isinstance(entry.measurement, Height)),
         frames=attempt(lambda: FrameTable.read(folder.frames_path), None),
         metrics=attempt(folder.read_metrics, {}),
         config=attempt(folder.read_config, {}),
@@ -112,11 +118,11 @@ def read_results(folder: RunFolder) -> RunResults:
     )
 
 
-def _estimates(folder: RunFolder) -> tuple[Estimate, ...]:
+def _logged(folder: RunFolder) -> tuple[tuple[Estimate, ...], tuple[LedgerEntry, ...]]:
     if not folder.database_path.is_file():
-        return ()
+        return (), ()
     with TraverseLog.open(folder.database_path) as log:
-        return tuple(log.estimates())
+        return tuple(log.estimates()), tuple(log.ledger())
 
 
 def _track(folder: RunFolder, name: str) -> Trajectory | None:

@@ -9,10 +9,11 @@ import numpy as np
 from synthetic import CAMERA, rover_T_camera
 
 from frontends.geometry import pose, se3_exp, so3_exp
-from frontends.measurements import Estimate, StartPrior
+from frontends.measurements import AbsoluteFix, Estimate, FixCandidate, StartPrior, Verdict
 from lunar_fg.evaluation import Metrics, evaluate
 from lunar_fg.frame_table import FrameTable
 from lunar_fg.graph.keyframe import Keyframe
+from lunar_fg.graph.ledger import FixDecision, LedgerEntry, Ruling
 from lunar_fg.log import RunHeader, TraverseLog
 from lunar_fg.record import FrameReport
 from lunar_fg.route import PlannedRoute, RouteMonitor, states_text
@@ -80,6 +81,8 @@ def write_finished_run(
             )
             monitor.observe(found)
             log.append(Keyframe(index, found.stamp_s), found)
+        if frames > 20:
+            log.append_decisions([_decision(estimate, 10, good=True), _decision(estimate, 20)])
     (path / "route.csv").write_text(states_text(monitor.states))
     metrics = Metrics.of_run(
         evaluate(estimate, truth),
@@ -96,3 +99,14 @@ def write_finished_run(
     )
     source.write(folder)
     return folder
+
+
+def _decision(estimate: Trajectory, frame: int, *, good: bool = False) -> FixDecision:
+    """A fix near the estimate that is believed, or one far off that is not."""
+    x, y, _ = estimate.positions[frame] + (0.0 if good else 6.0)
+    place = FixCandidate(x, y, 0.5, np.diag([0.04, 0.09, 1e-3]), 0.8, "relief", 30)
+    fix = AbsoluteFix(frame, (place,), 0.4)
+    verdict = Verdict.ACCEPTED if good else Verdict.REFUSED
+    reason = "agrees <b>well</b>" if good else "9.1 sigma from what was expected"
+    ruling = Ruling(frame, verdict, 0 if good else None, 0.9 if good else 9.1, reason, frame)
+    return FixDecision(LedgerEntry(frame, fix, (ruling,)), (), (), ())

@@ -39,7 +39,8 @@ class AgainstTruth:
     how
         What was aligned to get there, in words.
     profiles
-        Errors along the way by track: ``smoothed``, ``on the way``, ``dead reckoning``.
+        Errors along the way by track: ``smoothed``, ``on the way``, ``without fixes``,
+        ``dead reckoning``.
     predicted_m
         (N,) rms position error that the covariances predict, at `profiles["smoothed"]`.
     consistency
@@ -65,8 +66,11 @@ def same_map(results: RunResults) -> bool:
     return results.georeference is not None and isinstance(results.truth, Trajectory)
 
 
-def against_truth(results: RunResults) -> AgainstTruth | None:
-    """Compare a run with its truth; None when it has none, or none that fits."""
+def against_truth(results: RunResults, fixless: Trajectory | None = None) -> AgainstTruth | None:
+    """Compare a run with its truth; None when it has none, or none that fits.
+
+    `fixless` is what the run would be without its fixes.
+    """
     truth = results.truth
     if truth is None:
         return None
@@ -79,6 +83,7 @@ def against_truth(results: RunResults) -> AgainstTruth | None:
     profiles = {"smoothed": drift_profile(pair, alignment)}
     for name, track in (
         ("on the way", results.on_the_way),
+        ("without fixes", fixless),
         ("dead reckoning", results.dead_reckoning),
     ):
         found = None if track is None else _profile(track, truth, kind)

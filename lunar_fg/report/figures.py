@@ -9,12 +9,14 @@ import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
+from frontends.measurements import AbsoluteFix
 from lunar_fg.evaluation.drift import DriftProfile
 from lunar_fg.evaluation.figure import BASELINE, ESTIMATE, QUIET, TRUTH
 from lunar_fg.evaluation.plots import STAGES
 from lunar_fg.evaluation.top_view import LEGIBLE, MAGNIFICATIONS
 from lunar_fg.frame_table import FrameTable
 from lunar_fg.geo_export import ellipse_axes, ellipse_outlines
+from lunar_fg.graph.ledger import LedgerEntry
 from lunar_fg.report.against_truth import AgainstTruth
 from lunar_fg.report.orbital_image import MapPicture
 from lunar_fg.results import RunResults
@@ -64,7 +66,10 @@ def line(
 
 
 def map_figure(
-    results: RunResults, compared: AgainstTruth | None, picture: MapPicture | None
+    results: RunResults,
+    compared: AgainstTruth | None,
+    picture: MapPicture | None,
+    fixless: Trajectory | None,
 ) -> go.Figure:
     """The drive from above, over the orbital map where there is one."""
     figure = _plane(results.trajectory.positions, picture)
@@ -79,6 +84,9 @@ def map_figure(
     if results.dead_reckoning is not None:
         xy = results.dead_reckoning.positions
         line(figure, xy[:, 0], xy[:, 1], "dead reckoning", BASELINE, line={"dash": "dot"})
+    if fixless is not None:
+        xy = fixless.positions
+        line(figure, xy[:, 0], xy[:, 1], "without fixes", ON_THE_WAY, line={"dash": "dash"})
     track = results.trajectory
     xy = track.positions
     line(figure, xy[:, 0], xy[:, 1], "estimate", "#4fa3ff" if light else ESTIMATE)
@@ -91,6 +99,7 @@ def map_figure(
             x=at[:, 0], y=at[:, 1], mode="markers", name="motion not measured",
             marker={"symbol": "x", "color": ALARM, "size": 8},
         )  # fmt: skip
+    _fixes(figure, results.ledger)
     ends = xy[[0, -1]]
     figure.add_scatter(
         x=ends[:, 0], y=ends[:, 1], mode="markers+text", text=["start", "end"],
@@ -126,7 +135,8 @@ def drift_figure(compared: AgainstTruth) -> go.Figure:
         )  # fmt: skip
     styles = {
         "dead reckoning": (BASELINE, "dot"),
-        "on the way": (ON_THE_WAY, "dash"),
+        "without fixes": (ON_THE_WAY, "dash"),
+        "on the way": ("#69a8dc", "dashdot"),
         "smoothed": (ESTIMATE, "solid"),
     }
     for name, (colour, dash) in styles.items():
@@ -314,6 +324,25 @@ def _ellipses(figure: go.Figure, track: Trajectory) -> None:
         x=points[:, 0], y=points[:, 1], name=name, mode="lines", hoverinfo="skip",
         line={"color": ESTIMATE, "width": 1}, fill="toself", fillcolor="rgba(27,95,170,0.14)",
     )  # fmt: skip
+
+
+def _fixes(figure: go.Figure, ledger: Sequence[LedgerEntry]) -> None:
+    """Places of the fixes, by verdict."""
+    for verdict, colour, symbol in (("accepted", "#3b8a5a", "circle"), ("refused", ALARM, "x")):
+        places, texts = [], []
+        for entry in ledger:
+            fix = entry.measurement
+            if entry.ruling.verdict.value == verdict and isinstance(fix, AbsoluteFix):
+                for place in fix.candidates[entry.ruling.candidate or 0 :][:1]:
+                    places.append((place.x_m, place.y_m))
+                    texts.append(escape(f"keyframe {entry.frame}: {entry.ruling.reason}"))
+        if places:
+            x, y = np.array(places).T
+            figure.add_scatter(
+                x=x, y=y, mode="markers", name=f"fix {verdict}", hovertext=texts,
+                marker={"symbol": symbol, "color": colour, "size": 10,
+                        "line": {"color": "#fff", "width": 1.5}},
+            )  # fmt: skip
 
 
 def _error_line(

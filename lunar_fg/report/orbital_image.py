@@ -20,6 +20,7 @@ FloatArray = NDArray[np.float64]
 
 #: Longest side of the picture, px, and the part around the drive that it shows.
 _LONGEST_PX = 1400
+_THUMBNAIL_PX = 150
 _MARGIN = 0.35
 _LEAST_M = 10.0
 #: Light of a shaded DEM: from the north-west, 45 degrees high.
@@ -68,37 +69,57 @@ def map_picture(results: RunResults, around: FloatArray) -> tuple[MapPicture | N
     return None, notes
 
 
+def thumbnail(
+    path: Path, georeference: Georeference | None, centre: FloatArray, side_m: float
+) -> str:
+    """Square part of a map about a place (x, y) of the map frame, as a data URI; "" if none."""
+    corners = centre[:2] + 0.5 * side_m * np.array([[-1.0, -1.0], [1.0, 1.0]])
+    if georeference is not None:
+        corners = georeference.to_plane(corners)
+    try:
+        found = _read(path, corners[0], corners[1], _THUMBNAIL_PX)
+    except InputError:
+        return ""
+    return _jpeg(found[0], _THUMBNAIL_PX)
+
+
 def _picture(path: Path, georeference: Georeference, around: FloatArray, what: str) -> MapPicture:
     require_same(georeference, read_crs(path), path)
     plane = georeference.to_plane(around[:, :2])
     low, high = plane.min(axis=0), plane.max(axis=0)
     margin = max(_MARGIN * float((high - low).max()), _LEAST_M)
+    numbers, bounds = _read(path, low - margin, high + margin, _LONGEST_PX)
+    if what.startswith("shaded"):
+        numbers = _shaded(numbers, (bounds[2] - bounds[0]) / numbers.shape[1])
+    corners = georeference.to_map(np.array(bounds).reshape(2, 2))
+    return MapPicture(
+        _jpeg(numbers), (corners[0, 0], corners[1, 0]), (corners[0, 1], corners[1, 1]), what
+    )
+
+
+def _read(
+    path: Path, low: FloatArray, high: FloatArray, longest_px: int
+) -> tuple[FloatArray, tuple[float, float, float, float]]:
+    """Values of a map between two corners of its plane, NaN without data; and their bounds."""
     try:
         with rasterio.open(path) as raster:
             if raster.transform.b or raster.transform.d:
                 raise InputError("is not north-up", source=path, remedy="gdalwarp makes it so")
-            box = from_bounds(*(low - margin), *(high + margin), raster.transform)
-            box = box.round_offsets().round_lengths()
-            whole = Window(0, 0, raster.width, raster.height)
+            box = from_bounds(*low, *high, raster.transform).round_offsets().round_lengths()
             try:
-                window = box.intersection(whole)
+                window = box.intersection(Window(0, 0, raster.width, raster.height))
             except rasterio.errors.WindowError as error:
                 raise InputError("does not reach the drive", source=path) from error
-            shrink = min(1.0, _LONGEST_PX / max(window.width, window.height))
+            shrink = min(1.0, longest_px / max(window.width, window.height, 1))
             shape = max(1, round(window.height * shrink)), max(1, round(window.width * shrink))
             values = raster.read(1, window=window, out_shape=shape, masked=True)
-            west, south, east, north = raster.window_bounds(window)
+            bounds = raster.window_bounds(window)
     except rasterio.errors.RasterioError as error:
         raise InputError(f"cannot be read ({error})", source=path) from error
     numbers = values.astype(np.float64).filled(np.nan)
     if not np.isfinite(numbers).any():
         raise InputError("has no data around the drive", source=path)
-    if what.startswith("shaded"):
-        numbers = _shaded(numbers, (east - west) / shape[1])
-    corners = georeference.to_map(np.array([[west, south], [east, north]]))
-    return MapPicture(
-        _jpeg(numbers), (corners[0, 0], corners[1, 0]), (corners[0, 1], corners[1, 1]), what
-    )
+    return numbers, bounds
 
 
 def _shaded(height_m: FloatArray, pixel_m: float) -> FloatArray:
@@ -110,9 +131,12 @@ def _shaded(height_m: FloatArray, pixel_m: float) -> FloatArray:
     return np.asarray(np.tensordot(_LIGHT, normal / np.linalg.norm(normal, axis=0), 1))
 
 
-def _jpeg(values: FloatArray) -> str:
+def _jpeg(values: FloatArray, least_px: int = 0) -> str:
     low, high = np.nanpercentile(values, [1.0, 99.0])
     grey = np.clip((values - low) / max(float(high - low), 1e-12), 0.0, 1.0)
     pixels = np.nan_to_num(255.0 * grey, nan=200.0).astype(np.uint8)
+    if max(pixels.shape) < least_px:
+        scale = least_px / max(pixels.shape)
+        pixels = cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST)
     _, code = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 82])
     return "data:image/jpeg;base64," + base64.b64encode(code.tobytes()).decode()

@@ -18,11 +18,13 @@ from frontends.errors import InputError
 from lunar_fg import __version__
 from lunar_fg.report import figures
 from lunar_fg.report.against_truth import AgainstTruth, against_truth
+from lunar_fg.report.fixes import FixRow, fix_rows, without_fixes
 from lunar_fg.report.orbital_image import MapPicture, map_picture
 from lunar_fg.report.words import Card, cards, metres, remarks, sentences
 from lunar_fg.results import RunResults, read_results
 from lunar_fg.route import route_columns
 from lunar_fg.run_folder import RunFolder, write_whole
+from lunar_fg.trajectory import Trajectory
 
 #: What JSON may hold that HTML would read as markup.
 _MARKUP = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026"}
@@ -57,6 +59,7 @@ class RunSection:
     sentences: list[str]
     remarks: list[str]
     figures: list[Figure]
+    fixes: list[FixRow]
     timing: Table | None
     config: str
 
@@ -80,11 +83,12 @@ def write_report(folders: Sequence[RunFolder], path: Path) -> None:
     if not folders:
         raise InputError("needs at least one run", source="report")
     runs = [read_results(folder) for folder in folders]
-    compared = [against_truth(results) for results in runs]
+    fixless = [without_fixes(results) for results in runs]
+    compared = [against_truth(*pair) for pair in zip(runs, fixless, strict=True)]
     names = _distinct(runs)
     sections = [
-        _section(f"run{number}", name, results, found)
-        for number, (name, results, found) in enumerate(zip(names, runs, compared, strict=True))
+        _section(f"run{number}", *run)
+        for number, run in enumerate(zip(names, runs, compared, fixless, strict=True))
     ]
     environment = Environment(
         loader=PackageLoader("lunar_fg.report", "."),
@@ -103,7 +107,13 @@ def write_report(folders: Sequence[RunFolder], path: Path) -> None:
     write_whole(path, page.encode())
 
 
-def _section(key: str, name: str, results: RunResults, compared: AgainstTruth | None) -> RunSection:
+def _section(
+    key: str,
+    name: str,
+    results: RunResults,
+    compared: AgainstTruth | None,
+    fixless: Trajectory | None,
+) -> RunSection:
     picture, notes = map_picture(results, _everything(results, compared))
     return RunSection(
         id=key,
@@ -112,20 +122,25 @@ def _section(key: str, name: str, results: RunResults, compared: AgainstTruth | 
         cards=cards(results, compared),
         sentences=sentences(results, compared),
         remarks=[*remarks(results), *notes],
-        figures=list(_figures(key, results, compared, picture)),
+        figures=list(_figures(key, results, compared, picture, fixless)),
+        fixes=fix_rows(results),
         timing=_timing(results),
         config=yaml.safe_dump(results.config, sort_keys=False, allow_unicode=True),
     )
 
 
 def _figures(
-    key: str, results: RunResults, compared: AgainstTruth | None, picture: MapPicture | None
+    key: str,
+    results: RunResults,
+    compared: AgainstTruth | None,
+    picture: MapPicture | None,
+    fixless: Trajectory | None,
 ) -> Iterable[Figure]:
     over = "" if picture is None else f" Over the {picture.what}."
     truth = "" if compared is None else f" Truth: {compared.how}."
     yield _figure(
         f"{key}-map", "Trajectory", "From above, to scale; drag to pan, wheel to zoom, tap a name "
-        f"to hide it.{over}{truth}", figures.map_figure(results, compared, picture),
+        f"to hide it.{over}{truth}", figures.map_figure(results, compared, picture, fixless),
     )  # fmt: skip
     if compared is not None:
         yield _figure(

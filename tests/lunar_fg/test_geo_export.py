@@ -21,7 +21,7 @@ from lunar_fg.geo_export import ellipse_outlines, write_geojson, write_geopackag
 from lunar_fg.georeference import CRS_TAG
 from lunar_fg.results import RunResults, read_results
 
-LAYERS = ["route", "dead_reckoning", "truth", "path", "ellipses_1_sigma", "poses"]
+LAYERS = ["route", "dead_reckoning", "truth", "path", "ellipses_1_sigma", "poses", "fixes"]
 
 
 @pytest.fixture
@@ -68,6 +68,18 @@ def test_ellipses_are_the_ones_of_the_covariance(results: RunResults, tmp_path: 
     offset = ellipse_outlines(results.trajectory) - results.trajectory.positions[:, None, :2]
     whitened = np.linalg.solve(covariance[:, None], offset[..., None])[..., 0]
     np.testing.assert_allclose(np.einsum("nki,nki->nk", offset, whitened), 1.0, rtol=1e-9)
+
+
+def test_fixes_have_their_verdicts(results: RunResults, tmp_path: Path) -> None:
+    path = tmp_path / "results.gpkg"
+    write_geopackage(results, path)
+    columns, points = read(path, "fixes")
+    assert columns["verdict"].tolist() == ["accepted", "refused"]
+    assert columns["reason"][1] == "9.1 sigma from what was expected"
+    np.testing.assert_allclose(columns["sigma_y_m"], 0.3)
+    wanted = results.trajectory.positions[[10, 20], :2] + [[0.0], [6.0]]
+    plane = shapely.get_coordinates(points) - [12_000.0, -8_000.0]
+    np.testing.assert_allclose(plane, wanted, atol=1e-6)
 
 
 def test_geojson_is_longitude_and_latitude_of_the_moon(results: RunResults, tmp_path: Path) -> None:

@@ -76,6 +76,20 @@ def test_the_page_holds_everything_and_asks_for_nothing(page_file: Path) -> None
     assert len(text) < 6_000_000
 
 
+def test_fixes_are_told_with_their_reasons_and_their_ground(page_file: Path) -> None:
+    text = page_file.read_text()
+    assert "1 of 2 fixes were refused" in text
+    articles = re.findall(r'<article class="(\w+)">(.*?)</article>', text, re.S)
+    assert [verdict for verdict, _ in articles] == ["accepted", "refused"]
+    assert "Keyframe 10" in articles[0][1]
+    assert "agrees &lt;b&gt;well&lt;/b&gt;" in articles[0][1]
+    assert "9.1 sigma from what was expected" in articles[1][1]
+    assert 'src="data:image/jpeg' in articles[0][1], "the orbital map about it"
+    names = [trace.get("name") for trace in figure_data(text, "run0-map")["data"]]
+    assert "fix accepted" in names
+    assert "fix refused" in names
+
+
 def test_names_are_escaped(page_file: Path) -> None:
     text = page_file.read_text()
     assert EVIL not in text

@@ -1,0 +1,111 @@
+"""The fixes of a run for the report: what was decided, and what both sides saw."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from frontends.errors import LunarFgError
+from frontends.measurements import AbsoluteFix, Verdict
+from lunar_fg.graph.feed import feed
+from lunar_fg.graph.incremental import IncrementalSmoother
+from lunar_fg.graph.ledger import LedgerEntry
+from lunar_fg.ledger import entry_values
+from lunar_fg.log import TraverseLog
+from lunar_fg.report.orbital_image import thumbnail
+from lunar_fg.results import RunResults
+from lunar_fg.runs import as_trajectory, config_of
+from lunar_fg.trajectory import Trajectory
+
+#: Side of the ground that a thumbnail shows, m, and how many fixes have one.
+_SHOWN_M = 24.0
+_MOST = 60
+
+
+@dataclass(frozen=True, slots=True)
+class FixRow:
+    """One fix or loop closure.
+
+    Attributes
+    ----------
+    keyframe
+        Its number; of a loop closure both.
+    verdict
+        ``accepted`` or ``refused``.
+    facts
+        Proposer, score and the like, as text by name.
+    reason, history
+        In words; earlier verdicts, if they changed.
+    rover, orbital
+        Thumbnails of the same ground by the rover's own map and by the orbital one, as data
+        URIs; "" where there is none.
+    """
+
+    keyframe: str
+    verdict: str
+    facts: dict[str, str]
+    reason: str
+    history: str
+    rover: str
+    orbital: str
+
+
+def fix_rows(results: RunResults) -> list[FixRow]:
+    """Every entry of the ledger, in the order of the keyframes."""
+    entries = sorted(results.ledger, key=lambda entry: entry.frame)
+    return [_row(results, entry, number < _MOST) for number, entry in enumerate(entries)]
+
+
+def without_fixes(results: RunResults) -> Trajectory | None:
+    """Trajectory from the same log, as it would be without the fixes that were believed."""
+    if not any(entry.ruling.verdict is Verdict.ACCEPTED for entry in results.ledger):
+        return None
+    try:
+        with TraverseLog.open(results.folder.database_path) as log:
+            header, keyframes = log.header(), log.keyframes()
+        smoother = IncrementalSmoother(
+            header.camera, header.rover_T_camera, header.start, config_of(header).graph
+        )
+        list(feed(smoother, keyframes, []))
+        smoother.finish()
+    except LunarFgError:
+        return None
+    return as_trajectory(smoother.trajectory())
+
+
+def _row(results: RunResults, entry: LedgerEntry, pictured: bool) -> FixRow:
+    values = entry_values(entry)
+    measurement = entry.measurement
+    rover = orbital = ""
+    if pictured and isinstance(measurement, AbsoluteFix) and measurement.candidates:
+        place = measurement.candidates[entry.ruling.candidate or 0]
+        centre = np.array([place.x_m, place.y_m])
+        source = results.source
+        if source is not None and source.ortho is not None:
+            orbital = thumbnail(source.ortho, results.georeference, centre, _SHOWN_M)
+        own = results.folder.path / "map" / "ortho.tif"
+        if own.is_file():
+            rover = thumbnail(own, results.georeference, centre, _SHOWN_M)
+    facts = {
+        "proposed by": values["proposer"] or values["kind"],
+        "score": _text(values["score"]),
+        "inliers": _text(values["inliers"] or None),
+        "second best / best": _text(values["second_best_ratio"]),
+        "distance from the expected": _text(values["mahalanobis"], " sigma"),
+    }
+    past = [f"{old.verdict.value} at {old.at_frame} ({old.reason})" for old in entry.history[:-1]]
+    keyframe = str(entry.frame) if entry.base is None else f"{entry.base} - {entry.frame}"
+    return FixRow(
+        keyframe,
+        values["verdict"],
+        {name: text for name, text in facts.items() if text},
+        values["reason"],
+        "; ".join(past),
+        rover,
+        orbital,
+    )
+
+
+def _text(value: float | None, unit: str = "") -> str:
+    return "" if value is None else f"{value:.3g}{unit}"
