@@ -99,7 +99,8 @@ def read_results(folder: RunFolder) -> RunResults:
     georeference = None
     if reference is not None:
         georeference = attempt(lambda: Georeference.of(reference, folder.source_path), None)
-    estimates, ledger = attempt(lambda: _logged(folder), ((), ()))
+    nothing: tuple[tuple[Estimate, ...], tuple[LedgerEntry, ...]] = ((), ())
+    estimates, ledger = attempt(lambda: _logged(folder), nothing)
     return RunResults(
         folder=folder,
         name=folder.path.resolve().name if source is None else source.name,
