@@ -244,7 +244,8 @@ def timing_figure(frames: FrameTable) -> go.Figure | None:
         line(figure, rows, np.nan_to_num(ms), name, STAGES[index % len(STAGES)],
              stackgroup="stages", line={"width": 0.5})  # fmt: skip
     total = np.nansum(list(stages.values()), axis=0)
-    figure.update_yaxes(range=[0.0, min(1.05 * float(total.max()), 2.5 * _p95(total)) or 1.0])
+    top = min(1.05 * float(total.max()), 5.0 * float(np.median(total)))
+    figure.update_yaxes(range=[0.0, top or 1.0])
     return figure
 
 
@@ -349,7 +350,3 @@ def _error_line(
     figure: go.Figure, profile: DriftProfile, name: str, colour: str, dash: str
 ) -> None:
     line(figure, profile.distance_m, profile.position_m, name, colour, line={"dash": dash})
-
-
-def _p95(values: FloatArray | Sequence[float]) -> float:
-    return float(np.percentile(values, 95))
