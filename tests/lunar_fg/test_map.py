@@ -1,4 +1,4 @@
-"""Terrain maps of a rendered drive over flat ground with boards: heights, places, formats."""
+"""Terrain maps of a rendered drive over flat ground: heights, places, formats."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_every_layer_is_a_cloud_optimised_geotiff_of_the_moon(run: Path) -> None
             assert raster.descriptions[0]
 
 
-def test_the_ground_is_flat_where_it_is_and_the_boards_are_obstacles(run: Path) -> None:
+def test_the_ground_is_flat_and_free_to_the_stated_sigma(run: Path) -> None:
     with rasterio.open(run / "map" / "dem.tif") as dem, \
             rasterio.open(run / "map" / "obstacles.tif") as obstacles, \
             rasterio.open(run / "map" / "sigma.tif") as sigma:  # fmt: skip
@@ -83,10 +83,6 @@ def test_the_ground_is_flat_where_it_is_and_the_boards_are_obstacles(run: Path) 
     # Further off, the noise of this small camera is as high as a step.
     close = (x > 1.5) & (x < 2.5) & (np.abs(y) < 1.0)
     assert np.mean(state[close] == 1) < 0.2, "flat ground is no obstacle"
-    # A board stands at x = 6, y = 1.8, 1.6 m wide, 1.2 m high.
-    board = (np.abs(x - 6.0) < 0.3) & (np.abs(y - 1.8) < 0.6)
-    assert z[board].max() > 0.5
-    assert np.mean(state[board] == 1) > 0.5
 
 
 def test_the_cloud_holds_the_same_cells(run: Path) -> None:
