@@ -21,6 +21,7 @@ from lunar_fg.graph.keyframe import Keyframe
 from lunar_fg.motion import MotionModel, tilt_of
 from lunar_fg.plausibility import DeadCamera, Episodes, Plausibility
 from lunar_fg.record import FrameRecord, FrameReport, Sensors
+from lunar_fg.standstill import zero_motion
 from lunar_fg.stopwatch import Stopwatch
 
 FloatArray = NDArray[np.float64]
@@ -85,7 +86,11 @@ class Frontend:
             with self._stopwatch.stage("stereo"):
                 features = self.perception.perceive(frame)
             tracks, relative = self._locate(features, prediction)
-            observations = self._tracker.commit(features, tracks, relative)
+            standing = zero_motion(relative)
+            if standing is None:
+                observations = self._tracker.commit(features, tracks, relative)
+            else:
+                observations, relative = None, standing
             report, unusable = _report(features, relative), ""
         sensors = Sensors.of(frame)
         by_wheels = self._dead_reckoning.step(sensors)
@@ -93,17 +98,13 @@ class Frontend:
         self._motion.update(sensors, relative)
         if isinstance(taken, StereoFrame):
             self._dead_camera.remember(taken)
+        tilt = self._plausibility.tilt(frame.index, tilt_of(frame), relative)
         if len(self.records) == 1:
-            tilt = self._plausibility.tilt(frame.index, tilt_of(frame), relative)
             return Keyframe(frame.index, frame.stamp_s, observations, tilt=tilt)
-        return Keyframe(
-            frame.index,
-            frame.stamp_s,
-            observations,
-            relative,
-            self._plausibility.odometry(frame.index, odometry, relative),
-            self._plausibility.tilt(frame.index, tilt_of(frame), relative),
-        )
+        odometry = self._plausibility.odometry(frame.index, odometry, relative)
+        if observations is None and relative.accepted:  # standing still: nothing new
+            odometry = tilt = None
+        return Keyframe(frame.index, frame.stamp_s, observations, relative, odometry, tilt)
 
     @property
     def frames_unusable(self) -> int:
