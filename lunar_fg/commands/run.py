@@ -42,6 +42,10 @@ def run(
             "KITTI; twice for left and right."
         ),
     ] = None,
+    topic: Annotated[
+        list[str] | None,
+        typer.Option(help="Image topic of a ROS recording; twice for left and right."),
+    ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of all random choices.")] = None,
     overwrite: Overwrite = False,
     append: Annotated[
@@ -71,12 +75,14 @@ def run(
         settings = _settings(config, seed)
         follow_command(dataset, traverse, output, settings, overwrite, policy, quiet_s, estimates)
         return
-    opened = open_dataset(dataset, images, traverse, calibration or ())
+    opened = open_dataset(dataset, images, traverse, calibration or (), topic or ())
     sitting = Sitting(
         str(dataset.resolve()),
         _absolute(images),
         _absolute(traverse),
-        calibration=tuple(str(path.resolve()) for path in calibration or ()),
+        calibration=tuple(
+            str(path.resolve() if path.exists() else path) for path in calibration or ()
+        ),
     )
     if append:
         _refuse_with_append(config=config, seed=seed, overwrite=overwrite or None, route=route)

@@ -83,7 +83,17 @@ def read_grey(path: Path, white_level: int) -> Image:
     InputError
         When the file is missing, unknown, truncated, corrupt or too large.
     """
-    grey = _decode(path)
+    return _to_8_bits(_decode(_read_bytes(path), path), white_level)
+
+
+def decode_grey(data: bytes, name: str, white_level: int) -> Image:
+    """`read_grey` for the bytes of an image file that came some other way, e.g. in a message."""
+    if not 0 < len(data) <= MAX_BYTES:
+        raise InputError(f"holds {len(data)} bytes", source=name)
+    return _to_8_bits(_decode(data, Path(name)), white_level)
+
+
+def _to_8_bits(grey: NDArray[Any], white_level: int) -> Image:
     if grey.dtype == np.uint16:
         return np.asarray(cv2.convertScaleAbs(grey, alpha=255.0 / white_level), dtype=np.uint8)
     return np.ascontiguousarray(grey, dtype=np.uint8)
@@ -91,7 +101,7 @@ def read_grey(path: Path, white_level: int) -> Image:
 
 def read_peak(path: Path) -> int:
     """Largest grey value of an image as it is stored."""
-    return int(_decode(path).max())
+    return int(_decode(_read_bytes(path), path).max())
 
 
 def darkness(image: Image) -> str:
@@ -190,8 +200,7 @@ def _check_png(data: bytes, path: Path) -> None:
     raise InputError("is cut off: the PNG end mark is missing", source=path)
 
 
-def _decode(path: Path) -> NDArray[Any]:
-    data = _read_bytes(path)
+def _decode(data: bytes, path: Path) -> NDArray[Any]:
     header = _parse_header(data, path)
     _check_complete(data, header, path)
     try:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from frontends.errors import InputError
+from lunar_fg.datasets.bag_file import find_bag
 from lunar_fg.datasets.base import Dataset, Reader
 from lunar_fg.datasets.calibrated_images import open_calibrated
 from lunar_fg.datasets.euroc import EurocReader
@@ -14,10 +15,17 @@ from lunar_fg.datasets.folder import TRAVERSE, FolderReader
 from lunar_fg.datasets.kitti import PAIRS, KittiReader
 from lunar_fg.datasets.pds import PdsReader
 from lunar_fg.datasets.raw_pairs import has_pairs
+from lunar_fg.datasets.rosbag import BagReader
 from lunar_fg.datasets.schema import nearest_known
 
 #: Every format; the first that detects a folder opens it.
-READERS: tuple[Reader, ...] = (FolderReader(), EurocReader(), KittiReader(), PdsReader())
+READERS: tuple[Reader, ...] = (
+    FolderReader(),
+    EurocReader(),
+    KittiReader(),
+    PdsReader(),
+    BagReader(),
+)
 
 
 def open_dataset(
@@ -25,13 +33,14 @@ def open_dataset(
     images_root: Path | str | None = None,
     traverse: Path | str | None = None,
     calibration: Sequence[Path | str] = (),
+    topics: Sequence[str] = (),
 ) -> Dataset:
     """Open a dataset, whatever its format.
 
     Parameters
     ----------
     path
-        Folder of the dataset, or its ``traverse.yaml``.
+        Folder of the dataset, its ``traverse.yaml``, or a recording (.bag, .mcap, .db3).
     images_root
         Folder that the paths in frames.csv are relative to, where the images lie
         somewhere else (folder format only).
@@ -39,7 +48,10 @@ def open_dataset(
         ``traverse.yaml`` that describes a folder of images without one.
     calibration
         Calibration of a folder of raw images: one file, or the left and the right
-        camera's, in any format of `lunar_fg.datasets.calibrations`.
+        camera's, in any format of `lunar_fg.datasets.calibrations`; or of a recording,
+        instead of its camera_info.
+    topics
+        Left and right image topic of a recording, where their names do not tell.
 
     Returns
     -------
@@ -58,6 +70,12 @@ def open_dataset(
     if not os.path.exists(folder):
         raise InputError(
             "does not exist", source=folder, field="dataset", remedy=_nearest_neighbour(folder)
+        )
+    if find_bag(folder) is not None and traverse is None and images_root is None:
+        return BagReader().open(folder, None, topics, [Path(file) for file in calibration])
+    if topics:
+        raise InputError(
+            "is no ROS recording", source=folder, field="topics", remedy="leave --topic out"
         )
     if not folder.is_dir():
         raise InputError(
