@@ -24,6 +24,7 @@ from lunar_fg.graph.keyframe import SmoothedTrajectory
 from lunar_fg.log import TraverseLog
 from lunar_fg.log_entries import RunHeader, Sitting
 from lunar_fg.navigator import Navigator
+from lunar_fg.order import InOrder
 from lunar_fg.record import FrameReport
 from lunar_fg.recorder import EstimateRecorder
 from lunar_fg.route import RouteMonitor, states_text
@@ -325,9 +326,10 @@ def _drive(
     if route is not None:
         for estimate in earlier:
             route.observe(estimate)
+    in_order = InOrder(frames)
     try:
         with EstimateRecorder(folder, navigator.rover_T_camera, earlier) as recorder:
-            for frame in frames:
+            for frame in in_order:
                 estimate = navigator.step(frame)
                 recorder.record(estimate)
                 if route is not None:
@@ -338,13 +340,14 @@ def _drive(
         logger.error("stopped after %d frames: %s", len(navigator.reports), error)
         if navigator.reports:
             try:
-                _conclude(dataset, folder, navigator, (f"stopped early: {error}",), route)
+                reason = (f"stopped early: {error}", *in_order.warnings)
+                _conclude(dataset, folder, navigator, reason, route)
             except (LunarFgError, OSError) as second:
                 logger.error("and the results could not be written whole: %s", second)
         raise
     if not navigator.reports:
         raise InputError("has no frame", source=dataset.path, remedy="give images")
-    metrics = _conclude(dataset, folder, navigator, (), route)
+    metrics = _conclude(dataset, folder, navigator, in_order.warnings, route)
     if navigator.frames_usable == 0:
         raise InputError(
             "none of its frames could be used",

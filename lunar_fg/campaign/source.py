@@ -8,6 +8,8 @@ from lunar_fg.campaign.study import Trial
 from lunar_fg.datasets import open_dataset
 from lunar_fg.datasets.base import Dataset
 from lunar_fg.faults import FaultyDataset, parse_fault
+from lunar_fg.simulation.simulate import simulate
+from lunar_fg.simulation.spec import checked_spec
 
 
 def open_source(trial: Trial, scratch: Path) -> Dataset:
@@ -26,8 +28,13 @@ def open_source(trial: Trial, scratch: Path) -> Dataset:
         The recording cannot be opened, or the traverse cannot be simulated.
     """
     base = trial.base
-    assert base.dataset is not None
-    dataset = open_dataset(base.dataset)
+    if base.simulate is not None:
+        spec = checked_spec({**base.simulate, "seed": trial.seed}, "study, simulate")
+        simulate(spec, scratch / "simulated", workers=1)
+        dataset = open_dataset(scratch / "simulated")
+    else:
+        assert base.dataset is not None
+        dataset = open_dataset(base.dataset)
     if not base.faults:
         return dataset
     return FaultyDataset(dataset, [parse_fault(text) for text in base.faults], trial.seed, scratch)

@@ -16,6 +16,7 @@ from lunar_fg.config import Config
 from lunar_fg.datasets.strict_yaml import read_yaml
 from lunar_fg.faults import parse_fault
 from lunar_fg.simulation.measurements import TraverseSpec
+from lunar_fg.simulation.spec import checked_spec
 
 #: More runs than this are a slip of the pen.
 MOST_TRIALS = 100_000
@@ -56,6 +57,8 @@ class Base(BaseModel):
         Config.model_validate(self.config)
         for fault in self.faults:
             parse_fault(fault)
+        if self.simulate is not None:
+            checked_spec(self.simulate, "study, simulate")
         if self.measurements is not None:
             if self.faults:
                 raise ValueError("faults are injected into frames, and measurements have none")

@@ -15,6 +15,7 @@ from lunar_fg.commands.shared import Overwrite, out
 from lunar_fg.config import Config, read_config
 from lunar_fg.console import run_summary
 from lunar_fg.datasets import open_dataset
+from lunar_fg.faults import FaultyDataset, parse_fault
 from lunar_fg.follow import Policy
 from lunar_fg.log_entries import Sitting
 from lunar_fg.route_file import watch
@@ -46,6 +47,10 @@ def run(
         list[str] | None,
         typer.Option(help="Image topic of a ROS recording; twice for left and right."),
     ] = None,
+    inject: Annotated[
+        list[str] | None,
+        typer.Option(help="Fault to inject, NAME@FIRST-LAST, e.g. frozen@40-60; repeatable."),
+    ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of all random choices.")] = None,
     overwrite: Overwrite = False,
     append: Annotated[
@@ -76,6 +81,7 @@ def run(
         follow_command(dataset, traverse, output, settings, overwrite, policy, quiet_s, estimates)
         return
     opened = open_dataset(dataset, images, traverse, calibration or (), topic or ())
+    faults = [parse_fault(text) for text in inject or ()]
     sitting = Sitting(
         str(dataset.resolve()),
         _absolute(images),
@@ -85,7 +91,9 @@ def run(
         ),
     )
     if append:
-        _refuse_with_append(config=config, seed=seed, overwrite=overwrite or None, route=route)
+        _refuse_with_append(
+            inject=inject, config=config, seed=seed, overwrite=overwrite or None, route=route
+        )
         folder = RunFolder.open(output)
         with navigating(folder, opened.name, len(opened)) as advance:
             planned = route_of(folder, opened)
@@ -97,6 +105,8 @@ def run(
         RunSource.of(opened, images, traverse, calibration=calibration or ()).write(folder)
         if route is not None:
             folder.route_path.write_bytes(route.read_bytes())
+        if faults:
+            opened = FaultyDataset(opened, faults, settings.seed, folder.path)
         with navigating(folder, opened.name, len(opened)) as advance:
             metrics = runs.run(opened, folder, settings, advance, monitor, sitting)
     out.print(run_summary(opened.name, metrics, output), markup=False)

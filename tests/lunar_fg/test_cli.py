@@ -288,3 +288,26 @@ def test_the_kitti_demo_agrees_with_itself(tmp_path: Path) -> None:
     gap_mm = float(result.stdout.split("all landmarks ")[-1].split(" mm")[0])
     assert gap_mm < 10.0
     assert (tmp_path / "demo" / "plots" / "top_view.png").exists()
+
+
+def test_faults_are_injected_survived_and_said(rendered: Path, tmp_path: Path) -> None:
+    result = lunar_fg(
+        "run", rendered, "-o", tmp_path / "run", "--inject", "frozen@5-6", "--inject", "swapped@8-9"
+    )
+    assert result.exit_code == 0, result.output
+    metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    told = "\n".join(metrics["warnings"])
+    for text in (
+        "injected fault: FrozenCamera, frames 5 to 6",
+        "frames 5 to 6: the left image is that of the frame before",
+        "frame 8: came after a later one",
+    ):
+        assert text in told
+    assert metrics["frames"] == FRAMES - 1
+    assert metrics["ate_rmse_m"]["se3"] < 0.05
+
+
+def test_an_unknown_fault_is_named(rendered: Path, tmp_path: Path) -> None:
+    result = lunar_fg("run", rendered, "-o", tmp_path / "run", "--inject", "frosen@5-6")
+    assert "frozen" in one_line_error(result)
+    assert not (tmp_path / "run").exists()
