@@ -15,7 +15,7 @@ from frontends.errors import InputError, LunarFgError
 from frontends.measurements import Estimate, StereoFrame, UnusableFrame
 from lunar_fg.config import Config
 from lunar_fg.datasets.base import Dataset, GroundTruth
-from lunar_fg.evaluation import Accuracy, Metrics, evaluate, without_truth
+from lunar_fg.evaluation import Accuracy, Metrics, evaluate, share_start, without_truth
 from lunar_fg.evaluation.plots import write_plots
 from lunar_fg.frame_table import FrameTable
 from lunar_fg.graph.batch import optimize_batch
@@ -249,8 +249,14 @@ def optimize(folder: RunFolder) -> tuple[ConvergenceReport, Accuracy]:
 
 
 def compare(estimate: Trajectory, truth: Truth | None) -> Accuracy:
-    """Accuracy against the truth, or what can be said without one."""
-    return without_truth(estimate) if truth is None else evaluate(estimate, truth)
+    """Accuracy against the truth, or what can be said without one.
+
+    Where the truth begins where the estimate says it does, within its covariance, both are in
+    one map and nothing is aligned.
+    """
+    if truth is None:
+        return without_truth(estimate)
+    return evaluate(estimate, truth, same_map=share_start(estimate, truth))
 
 
 def truth_of(ground_truth: GroundTruth | None) -> Truth | None:

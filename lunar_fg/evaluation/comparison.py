@@ -7,8 +7,9 @@ from functools import partial
 from typing import TypeVar
 
 import numpy as np
+from scipy.stats import chi2
 
-from frontends.geometry import inverse
+from frontends.geometry import inverse, se3_log
 from lunar_fg.evaluation.alignment import (
     Alignment,
     AlignmentKind,
@@ -35,6 +36,7 @@ from lunar_fg.trajectory import PositionTrack, Trajectory, Truth
 T = TypeVar("T")
 
 _AXES_DIFFER_DEG = 45.0
+_ONE_IN_A_MILLION = 1e-6
 
 
 def evaluate(
@@ -100,6 +102,22 @@ def evaluate(
         nees=_band(consistency),
         warnings=tuple(notes.warnings),
     )
+
+
+def share_start(estimate: Trajectory, truth: Truth) -> bool:
+    """Whether estimate and truth are in one map, as far as their first common poses tell.
+
+    A start that was given with its uncertainty lies within it (chi-square, all but one in a
+    million); a truth in a frame of its own hardly ever does.
+    """
+    if estimate.covariance is None or isinstance(truth, PositionTrack):
+        return False
+    pair = associate(estimate, truth)
+    covariance = pair.estimate.covariance
+    assert covariance is not None
+    error = se3_log(inverse(pair.estimate.map_T_rover[0]) @ pair.true_poses[0])
+    distance2 = float(error @ np.linalg.solve(covariance[0], error))
+    return distance2 < chi2.isf(_ONE_IN_A_MILLION, 6)
 
 
 def without_truth(estimate: Trajectory) -> Accuracy:

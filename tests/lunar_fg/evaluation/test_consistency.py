@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from frontends.geometry import pose, so3_exp
+from lunar_fg.evaluation import share_start
 from lunar_fg.evaluation.association import Pair, UndefinedMetricError, associate
-from lunar_fg.evaluation.consistency import Nees, NeesFrame, nees, pooled
+from lunar_fg.evaluation.consistency import Nees, NeesFrame, coverage, nees, pooled
 from lunar_fg.trajectory import PositionTrack, Trajectory
 
 Simulate = Callable[..., tuple[Trajectory, Trajectory]]
@@ -96,3 +97,28 @@ def test_what_cannot_be_told_is_undefined(simulate: Simulate) -> None:
         nees(associate(estimate.select(slice(0, 1)), truth), NeesFrame.SAME_MAP)
     with pytest.raises(UndefinedMetricError, match="pooling"):
         pooled([])
+
+
+def test_most_poses_of_honest_estimates_are_within_three_sigmas(simulate: Simulate) -> None:
+    rng = np.random.default_rng(5)
+    pairs = [associate(*simulate(rng, start_sigma=0.05)) for _ in range(RUNS)]
+    honest = np.mean([coverage(pair, NeesFrame.SAME_MAP).mean() for pair in pairs])
+    assert honest > 0.98
+    bold = [associate(*simulate(rng, start_sigma=0.05, covariance_scale=0.1)) for _ in range(RUNS)]
+    assert np.mean([coverage(pair, NeesFrame.SAME_MAP).mean() for pair in bold]) < 0.9
+    moved = [
+        in_another_frame(*simulate(rng, start_sigma=0.05, covariance_scale=1.0))
+        for _ in range(RUNS)
+    ]
+    assert np.mean([coverage(pair, NeesFrame.FROM_START).mean() for pair in moved]) > 0.98
+
+
+def test_one_map_is_recognised_by_its_start(simulate: Simulate) -> None:
+    rng = np.random.default_rng(6)
+    runs = [simulate(rng, start_sigma=0.05) for _ in range(RUNS)]
+    assert all(share_start(*run) for run in runs)
+    away = pose(so3_exp([0.0, 0.0, 0.4]), [1.0, 0.0, 0.0])
+    assert not any(share_start(estimate, truth.moved(away)) for estimate, truth in runs)
+    estimate, truth = runs[0]
+    assert not share_start(estimate, PositionTrack(truth.stamp_s, truth.positions))
+    assert not share_start(Trajectory(estimate.stamp_s, estimate.map_T_rover), truth)
