@@ -207,10 +207,20 @@ class SimulationSpec(_Strict):
     depth: bool = False
 
     def key(self) -> str:
-        """Name of what this spec gives: changes with any setting, the DEM's bytes, the code."""
+        """Name of what this spec gives: changes with any setting, the DEM's bytes, the code.
+
+        Raises
+        ------
+        InputError
+            When the DEM cannot be read.
+        """
         digest = hashlib.sha256(f"{RENDERER_VERSION}:{self.model_dump_json()}".encode())
         if self.terrain.dem is not None:
-            digest.update(self.terrain.dem.read_bytes())
+            try:
+                digest.update(self.terrain.dem.read_bytes())
+            except OSError as error:
+                problem = f"cannot be read: {error.strerror}"
+                raise InputError(problem, source=self.terrain.dem) from error
         return digest.hexdigest()[:16]
 
 

@@ -1,0 +1,52 @@
+"""The demo as a newcomer runs it, only smaller."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from lunar_fg.cli import app
+from lunar_fg.simulation import cache
+
+
+def test_the_demo_drives_reports_and_keeps_its_pictures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cache, "user_cache_path", lambda _name: tmp_path / "cache")
+    out = tmp_path / "demo"
+    arguments = ["demo", "--size", "256", "--length", "12", "--seed", "2", "-o", str(out)]
+    first = CliRunner().invoke(app, arguments)
+    assert first.exit_code == 0, first.output
+    assert "9 stereo pairs, 0 lost" in first.stdout
+    last = first.stdout.strip().splitlines()[-3:]
+    wheels, vision = (
+        float(re.search(r"([\d.]+) %", line).group(1))  # type: ignore[union-attr]
+        for line in last[:2]
+    )
+    assert "wheels" in last[0]
+    assert "vision" in last[1]
+    # over so short a drive the start's own heading counts
+    assert vision < 5.0
+    assert wheels > 0.0
+    page = out / "report.html"
+    assert last[2] == f"report: {page}"
+    assert page.stat().st_size > 10_000
+    assert (out / "batch" / "trajectory.tum").is_file()
+
+    def never(*_: object, **__: object) -> None:
+        raise AssertionError("rendered again")
+
+    monkeypatch.setattr(cache, "simulate", never)
+    second = CliRunner().invoke(app, arguments)
+    assert second.exit_code == 0, second.output
+    assert second.stdout.strip().splitlines()[-3:] == last
+
+
+@pytest.mark.parametrize("arguments", [["--sun", "noon"], ["--length", "0"], ["--size", "10"]])
+def test_senseless_demos_are_refused(arguments: list[str]) -> None:
+    result = CliRunner().invoke(app, ["demo", *arguments])
+    assert result.exit_code == 2
+    assert "error:" in result.output
