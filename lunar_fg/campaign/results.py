@@ -107,5 +107,9 @@ _TYPES = {
     "error": arrow.string(),
     "frames": arrow.int64(),
     "frames_lost": arrow.int64(),
+    "fixes_tried": arrow.int64(),
+    "fixes_right": arrow.int64(),
+    "fixes_accepted": arrow.int64(),
+    "fixes_accepted_right": arrow.int64(),
     "warnings": arrow.list_(arrow.string()),
 }

@@ -8,7 +8,7 @@ from lunar_fg.campaign.study import Trial
 from lunar_fg.datasets import open_dataset
 from lunar_fg.datasets.base import Dataset
 from lunar_fg.faults import FaultyDataset, parse_fault
-from lunar_fg.simulation.simulate import simulate
+from lunar_fg.simulation.cache import cached_dataset
 from lunar_fg.simulation.spec import checked_spec
 
 
@@ -30,8 +30,7 @@ def open_source(trial: Trial, scratch: Path) -> Dataset:
     base = trial.base
     if base.simulate is not None:
         spec = checked_spec({**base.simulate, "seed": trial.seed}, "study, simulate")
-        simulate(spec, scratch / "simulated", workers=1)
-        dataset = open_dataset(scratch / "simulated")
+        dataset = open_dataset(cached_dataset(spec, workers=1))
     else:
         assert base.dataset is not None
         dataset = open_dataset(base.dataset)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,9 @@ from lunar_fg.config import Config
 from lunar_fg.evaluation import evaluate
 from lunar_fg.evaluation.association import associate
 from lunar_fg.evaluation.consistency import NeesFrame, coverage
+from lunar_fg.evaluation.fixes import FixCounts, count_fixes
 from lunar_fg.graph.incremental import IncrementalSmoother
+from lunar_fg.log import TraverseLog
 from lunar_fg.run_folder import RunFolder
 from lunar_fg.runs import as_trajectory, run, truth_of
 from lunar_fg.simulation.measurements import simulate
@@ -39,6 +41,8 @@ class Outcome:
         Against the truth, in the map where the truth is in it (ATE: rmse, no alignment).
     nees, coverage
         Mean NEES a degree of freedom; share of the poses within 3 sigma on every map axis.
+    fixes_tried, fixes_right, fixes_accepted, fixes_accepted_right
+        See `lunar_fg.evaluation.fixes.FixCounts`.
     cpu_s, wall_s
         Of the run, without its simulation.
     warnings
@@ -57,6 +61,10 @@ class Outcome:
     drift_percent: float | None = None
     nees: float | None = None
     coverage: float | None = None
+    fixes_tried: int = 0
+    fixes_right: int = 0
+    fixes_accepted: int = 0
+    fixes_accepted_right: int = 0
     cpu_s: float = 0.0
     wall_s: float = 0.0
     warnings: tuple[str, ...] = ()
@@ -99,12 +107,25 @@ def _with_images(trial: Trial) -> Outcome:
         metrics = run(dataset, folder, config)
         spent = time.process_time() - cpu, time.perf_counter() - wall
         trajectory, truth = folder.read_trajectory(), truth_of(dataset.ground_truth)
+        fixes = FixCounts() if truth is None else _fixes(folder, truth)
     if truth is None:
         return Outcome(
             trial.number, trial.seed, trial.group, "", metrics.frames, metrics.frames_lost,
             cpu_s=spent[0], wall_s=spent[1], warnings=metrics.warnings,
         )  # fmt: skip
-    return _judged(trial, trajectory, truth, metrics.frames_lost, spent, metrics.warnings)
+    outcome = _judged(trial, trajectory, truth, metrics.frames_lost, spent, metrics.warnings)
+    return replace(outcome, **{f"fixes_{name}": count for name, count in asdict(fixes).items()})
+
+
+def _fixes(folder: RunFolder, truth: Truth) -> FixCounts:
+    with TraverseLog.open(folder.database_path) as log:
+        ledger, keyframes = log.ledger(), log.keyframes()
+    stamps = np.array([keyframe.stamp_s for keyframe in keyframes])
+    nearest = np.abs(truth.stamp_s[None, :] - stamps[:, None]).argmin(axis=1)
+    return count_fixes(
+        ledger,
+        {k.index: truth.positions[row] for k, row in zip(keyframes, nearest, strict=True)},
+    )
 
 
 def _judged(
