@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from frontends.errors import InputError
+from lunar_fg.mission_traverses import read_mission_traverse
 from lunar_fg.trajectory import PositionTrack, Trajectory, Truth, are_rigid
 
 FloatArray = NDArray[np.float64]
@@ -60,7 +61,7 @@ def read_track(path: str | Path) -> Truth:
         stamp, and the result is marked `indexed`); EuRoC ``data.csv`` of a ground truth
         (nanoseconds, quaternion w first); position table with commas, with or without a
         header, columns stamp_s (or time_s), x_m, y_m and perhaps z_m; a ``frame`` column
-        beside the stamp is skipped.
+        beside the stamp is skipped; tables of `lunar_fg.mission_traverses`.
 
     Returns
     -------
@@ -72,6 +73,9 @@ def read_track(path: str | Path) -> Truth:
     InputError
         When the file cannot be read as any of these; the text names the line.
     """
+    mission = read_mission_traverse(Path(path))
+    if mission is not None:
+        return mission.truth
     table = _read_table(Path(path))
     columns = table.values.shape[1]
     if table.commas and columns in _EUROC_COLUMNS:
@@ -87,7 +91,13 @@ def read_track(path: str | Path) -> Truth:
 
 
 def read_trajectory(path: str | Path) -> Trajectory:
-    """Read poses as `read_track` does; a file of positions only is an `InputError`."""
+    """Read poses as `read_track` does; a file of positions only is an `InputError`.
+
+    Of a mission's table that has both, the telemetry is read, not the localisation.
+    """
+    mission = read_mission_traverse(Path(path))
+    if mission is not None and mission.telemetry is not None:
+        return mission.telemetry
     track = read_track(path)
     if isinstance(track, PositionTrack):
         raise InputError(
