@@ -14,6 +14,7 @@ from frontends.measurements import AbsoluteFix
 from lunar_fg.graph.keyframe import Keyframe, floored
 from lunar_fg.graph.landmarks import in_rover_frames
 from lunar_fg.log import TraverseLog
+from lunar_fg.mcap_export import export_mcap
 from lunar_fg.pose_graph import PoseEdge, PoseGraph, g2o_text
 from lunar_fg.run_folder import RunFolder, write_whole
 from lunar_fg.trajectory_io import euroc_text, kitti_text, tum_text
@@ -120,5 +121,6 @@ EXPORTERS: Mapping[str, tuple[str, Exporter]] = MappingProxyType(
         "kitti": ("kitti.txt", export_kitti),
         "euroc": ("euroc.csv", export_euroc),
         "g2o": ("g2o", export_g2o),
+        "mcap": ("mcap", export_mcap),
     }
 )

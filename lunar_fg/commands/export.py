@@ -18,15 +18,20 @@ def export(
     run_folder: Annotated[Path, typer.Argument(help="Folder that `lunar-fg run` wrote.")],
     format_name: Annotated[
         str, typer.Option("--format", "-f", help=f"One of {', '.join(EXPORTERS)}.")
-    ],
+    ] = "",
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="File; into the run folder by default.")
     ] = None,
+    mcap: Annotated[
+        bool, typer.Option("--mcap", help="Short for --format mcap: for Foxglove and ROS 2.")
+    ] = False,
 ) -> None:
     """Write a run's trajectory or pose graph in the format of another program.
 
     Example: lunar-fg export runs/first --format g2o -o first.g2o
     """
+    if mcap:
+        format_name = "mcap" if format_name in ("", "mcap") else f"{format_name} --mcap"
     if format_name not in EXPORTERS:
         raise InputError(
             f"{format_name!r} is not a known format", source="--format",
