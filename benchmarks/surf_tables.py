@@ -90,7 +90,7 @@ def _after_ransac(found: Mapping[str, Mapping[str, int]]) -> str:
         f"{_percent(pairs['off row'], pairs['inliers'])}, and {along} nearer than infinity by "
         f"more than 3 px, {_percent(along, pairs['inliers'])}. A fundamental matrix cannot see "
         "an error along its lines: stereo perception searches the epipolar band between the "
-        "nearest depth and infinity instead, and the motion between frames rejects the rest."
+        "nearest depth and infinity instead, and the motion between frames is a second check."
     )
 
 

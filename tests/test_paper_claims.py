@@ -161,7 +161,7 @@ def test_rows_of_rectified_pairs_after_ransac(shared_data):
     A line lets far more pass than a point: up to 3 px from the row, and along it anything.
     Measured: 4 of 20,058 matches farther from their row, 17 nearer than infinity by more
     than 3 px. So stereo perception searches the band instead (`match --stereo`), and the
-    motion between frames rejects the rest.
+    motion between frames is a second check.
     """
     kitti = [f"kitti-06-000-050/image_{{}}/{i:06d}.png" for i in range(0, 51, 17)]
     inliers, off_row = 0, 0
