@@ -132,7 +132,12 @@ def _overlaps(
 ) -> tuple[list[Overlap], dict[int, str]]:
     """Pairs that a homography relates; for each image how near its best refused pair was."""
     surf = SURF(20.0, max_keypoints=max_keypoints)
-    features = [surf.detectAndCompute(picture) for picture in pictures]
+    features = []
+    for i, picture in enumerate(pictures):
+        try:
+            features.append(surf.detectAndCompute(picture))
+        except InputError as error:
+            raise InputError(error.problem, source=f"image {i + 1}") from error
     overlaps: list[Overlap] = []
     best: dict[int, tuple[int, str]] = dict.fromkeys(range(len(pictures)), (-1, "no matches"))
     for i, j in combinations(range(len(pictures)), 2):

@@ -122,6 +122,8 @@ def point_chance(second_xy: FloatArray, threshold_px: float) -> float:
     of them to meet, from the share of pairs within a neighbourhood, and not less than that
     of points spread evenly over their bounding box.
     """
+    if len(second_xy) == 0:
+        return 1.0
     box = float(np.prod(np.maximum(np.ptp(second_xy, axis=0), 1.0)))
     even = np.pi * threshold_px**2 / box
     radius = max(_NEIGHBOURHOOD * float(np.sqrt(box)), threshold_px)
@@ -136,6 +138,8 @@ def line_chance(second_xy: FloatArray, threshold_px: float) -> float:
 
     A line crosses the bounding box of the matches over its diagonal at most.
     """
+    if len(second_xy) == 0:
+        return 1.0
     extent = np.maximum(np.ptp(second_xy, axis=0), 1.0)
     return min(1.0, float(2.0 * threshold_px * np.hypot(*extent) / np.prod(extent)))
 

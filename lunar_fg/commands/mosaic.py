@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from frontends.errors import InputError
 from frontends.mosaic import merge
 from lunar_fg.commands.shared import out
 from lunar_fg.pictures import read_picture, write_picture
@@ -25,6 +26,8 @@ def mosaic(
 
     Example: lunar-fg mosaic navcam1.img navcam2.img navcam3.img -o merged.png
     """
+    if not output.parent.is_dir():
+        raise InputError("its folder does not exist", source=output, remedy="create it first")
     result = merge([read_picture(path) for path in images])
     write_picture(output, result.picture)
     merged = [images[i].name for i in sorted(result.canvas_H_image)]

@@ -93,6 +93,8 @@ def test_an_image_of_another_place_is_named(views, shared_data):
         merge([given[0][0], other])
     with pytest.raises(InputError, match="two or more"):
         merge([other])
+    with pytest.raises(InputError, match="image 2: 5 x 5 pixels"):
+        merge([other, other[:5, :5]])
 
 
 def test_absurd_warps_and_sizes_are_refused(views, monkeypatch):

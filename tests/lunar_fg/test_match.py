@@ -52,6 +52,15 @@ def test_unrelated_images_are_refused(shared_data, model):
     assert np.isnan(result.error_px)
 
 
+@pytest.mark.parametrize("model", list(MatchModel))
+def test_images_without_any_texture_are_refused(model):
+    blank = np.full((120, 160), 99, np.uint8)
+    result = match_images(blank, blank, model)
+    assert result.verdict == "refused"
+    assert "0 matches" in result.reason
+    assert draw([np.dstack(3 * [blank])] * 2, result).shape == (120, 320, 3)
+
+
 def test_stereo_stays_in_the_band(shared_data):
     """Rows differ by the vertical field of the pair only; disparities are not negative."""
     left, right = images(shared_data, KITTI.format("l"), KITTI.format("r"))

@@ -37,3 +37,6 @@ def test_images_that_do_not_overlap_end_with_an_error(shared_data, tmp_path):
     assert result.exit_code == 2
     assert "no two of the 2 images overlap" in result.stderr
     assert not output.exists()
+    nowhere = lunar_fg("mosaic", *images, "-o", tmp_path / "no" / "merged.png")
+    assert nowhere.exit_code == 2
+    assert "folder does not exist" in nowhere.stderr
