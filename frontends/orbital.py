@@ -19,6 +19,7 @@ from rasterio.vrt import WarpedVRT
 
 from frontends.errors import InputError
 from frontends.measurements import SunDirection
+from frontends.raster_formats import driver_of
 from frontends.terrain.grid import Grid
 
 Layer = NDArray[np.float32]
@@ -105,7 +106,7 @@ class Raster:
         except (CRSError, ValueError) as error:
             raise InputError(f"{crs!r} is not a CRS", source="map", field="crs") from error
         try:
-            with rasterio.open(path) as source:
+            with rasterio.open(path, driver=driver_of(path)) as source:
                 if source.count < 1 or source.transform.is_identity:
                     raise InputError(
                         "says nowhere where it lies",
@@ -157,7 +158,7 @@ class Raster:
         how = Resampling.average if grid.cell_m > 1.5 * self.gsd_m else Resampling.bilinear
         try:
             with (
-                rasterio.open(self.path) as source,
+                _at_scale(self.path, grid.cell_m / self.gsd_m) as source,
                 WarpedVRT(
                     source,
                     src_crs=source.crs or _LOCAL,
@@ -190,6 +191,19 @@ class Raster:
         return np.asarray(
             ((y >= south) & (y <= north))[:, None] & ((x >= west) & (x <= east))[None, :]
         )
+
+
+def _at_scale(path: Path, ratio: float) -> Any:
+    """Open the coarsest overview that is still finer than `ratio` pixels a cell, or the file.
+
+    The warper itself reads full resolution: a survey of a large map would read all of it.
+    """
+    source = rasterio.open(path, driver=driver_of(path))
+    levels = [k for k, factor in enumerate(source.overviews(1)) if factor <= ratio]
+    if not levels:
+        return source
+    source.close()
+    return rasterio.open(path, driver=driver_of(path), OVERVIEW_LEVEL=levels[-1])
 
 
 #: Files without a CRS, read as they are: any projected CRS will do.
