@@ -171,27 +171,32 @@ class LandmarkTracker:
                 features.observations.select(nothing),
                 nothing,
             )
-        points_b = predicted_points(prediction, memory.points)
-        ahead = np.flatnonzero(points_b[:, 2] > 1e-3)
-        visible = memory.select(ahead)
-        u_left, _, v = self.camera.project(points_b[ahead]).T
         share = self.config.wide_search_fraction if wide else self.config.search_fraction
         half = share * self.camera.width
+        points_b = predicted_points(prediction, memory.points)
+        near = np.flatnonzero(points_b[:, 2] > 1e-3)
+        u_left, _, v = self.camera.project(points_b[near]).T
+        reached = self.camera.contains(u_left, v, -half)
+        near = near[reached]
         seen = features.observations
         matches: Matches = match_in_windows(
-            visible.descriptors,
-            visible.laplacian,
-            SearchWindows(u_left, v, half, half),
+            memory.descriptors[near],
+            memory.laplacian[near],
+            SearchWindows(u_left[reached], v[reached], half, half),
             features.descriptors,
             features.laplacian,
             np.stack([seen.u_left, seen.v], axis=-1),
             ratio=self.config.ratio,
         )
-        chosen = visible.select(matches.query)
+        chosen = near[matches.query]
+        points = memory.points[chosen]
         observations = self._as_tracked(
-            seen.select(matches.train), chosen, features.size_px[matches.train]
+            seen.select(matches.train),
+            memory.landmark_id[chosen],
+            points,
+            features.size_px[matches.train],
         )
-        return Tracks(chosen.points, chosen.covariance, observations, matches.train)
+        return Tracks(points, memory.covariance[chosen], observations, matches.train)
 
     def commit(
         self, features: StereoFeatures, tracks: Tracks, relative: RelativePose
@@ -258,14 +263,18 @@ class LandmarkTracker:
         )
 
     def _as_tracked(
-        self, seen: StereoObservations, landmarks: LandmarkMemory, size_px: FloatArray
+        self,
+        seen: StereoObservations,
+        landmark_id: NDArray[np.int64],
+        points: FloatArray,
+        size_px: FloatArray,
     ) -> StereoObservations:
         """Observations with the landmarks' ids and the noise of having come nearer."""
-        change = np.log(np.maximum(landmarks.points[:, 2], 1e-6) / seen.points_cam[:, 2])
+        change = np.log(np.maximum(points[:, 2], 1e-6) / seen.points_cam[:, 2])
         shift = self.config.scale_change_sigma * size_px * np.abs(change)
         return replace(
             seen,
-            landmark_id=landmarks.landmark_id.astype(np.int64),
+            landmark_id=landmark_id,
             sigma_px=np.hypot(seen.sigma_px, shift),
             sigma_disparity_px=np.hypot(seen.sigma_disparity_px, self.config.surface_slope * shift),
         )
@@ -278,11 +287,12 @@ class LandmarkTracker:
         keep = (memory.unseen < self.config.max_unseen) & ~np.isin(memory.landmark_id, seen_again)
         kept = memory.select(keep)
         b_T_a = inverse(a_T_b)
-        rotation = b_T_a[:3, :3]
+        # R C R^T of every landmark as one matrix product
+        twice = np.kron(b_T_a[:3, :3], b_T_a[:3, :3])
         return replace(
             kept,
             points=transform_points(b_T_a, kept.points),
-            covariance=rotation @ kept.covariance @ rotation.T,
+            covariance=(kept.covariance.reshape(-1, 9) @ twice.T).reshape(-1, 3, 3),
             unseen=kept.unseen + 1,
         )
 

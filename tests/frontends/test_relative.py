@@ -351,3 +351,38 @@ def test_no_covariance_where_the_motion_is_open():
 def test_settings_out_of_range_are_refused(bad):
     with pytest.raises(ValidationError):
         TypeAdapter(RelativeConfig).validate_python(bad)
+
+
+@pytest.mark.parametrize("count", [12, 64, 65, 200])
+def test_gauss_newton_ends_where_the_gradient_vanishes(count):
+    """Whole and part blocks of landmarks; measured in sigmas of the motion."""
+    problem = two_view_problem(count=count)
+    start = inverse(A_T_B) @ se3_exp([2e-3, -1e-3, 1e-3, 0.01, -0.01, 0.02])
+    among = np.arange(len(problem)) % 5 > 0
+    motion = problem.solve(start, 2.0, iterations=50, among=among)
+    information, gradient, _ = problem.linearise(motion, 2.0, among=among)
+    assert gradient @ np.linalg.solve(information, gradient) < 1e-6
+    assert np.abs(motion - start).max() > 1e-4
+
+
+def test_further_unknowns_are_derivatives_too():
+    """Gradient by the disparity terms against finite differences of the cost."""
+    a, b, _ = two_views(1, count=70)
+    rng = np.random.default_rng(3)
+    terms = rng.normal(size=(len(b), 4, 2))
+    terms[:, :3] *= 0.05
+    flat = 1e-12 * a.points_covariance
+
+    def problem(c):
+        moved = a.points_cam + terms[:, :3] @ c
+        shown = replace(b, u_right=b.u_right + terms[:, 3] @ c)  # less disparity there
+        return TwoViewProblem.of_landmarks(CAMERA, moved, flat, shown, terms)
+
+    b_T_a, step = inverse(A_T_B), 1e-6
+    _, gradient, _ = problem(np.zeros(2)).linearise(b_T_a, 1e6)
+
+    def cost(c):
+        return 0.5 * problem(c).distances2(b_T_a).sum()
+
+    numeric = [(cost(step * e) - cost(-step * e)) / (2 * step) for e in np.eye(2)]
+    np.testing.assert_allclose(gradient[6:], -np.array(numeric), rtol=1e-3)
