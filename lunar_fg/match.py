@@ -199,6 +199,8 @@ def _stereo(
         reason = weighed.reason or "too few matches in equal rows"
         return perceived.matches, nothing, nothing, float("nan"), f"not a stereo pair: {reason}"
     seen = perceived.observations
+    if len(seen) == 0:
+        return perceived.matches, nothing, nothing, float("nan"), "every match is at infinity"
     vertical = field.vertical_at(camera, seen.u_left, seen.v)
     error = _MEDIAN_OF_SIGMA * perceived.epipolar_sigma_px
     if not np.isfinite(error):

@@ -68,6 +68,8 @@ def test_stereo_stays_in_the_band(shared_data):
     offset = result.first_xy - result.second_xy
     assert np.ptp(offset[:, 1]) < 3.0
     assert offset[:, 0].min() > -3.0
+    alike = match_images(grey(left), grey(left), MatchModel.STEREO)
+    assert alike.reason == "every match is at infinity"
     with pytest.raises(InputError, match="swapped"):
         match_images(grey(right), grey(left), MatchModel.STEREO)
     with pytest.raises(InputError, match="1226x370 and 1226x300"):
