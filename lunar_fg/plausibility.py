@@ -105,6 +105,10 @@ class Plausibility:
     def __init__(self, rover_T_camera: FloatArray) -> None:
         self._rover_T_camera = rover_T_camera
         self._slip = Episodes("wheels and images disagree on the motion: taken as wheel slip")
+        self._unseen = Episodes(
+            "the images do not show the motion since the frame before: it is by wheels alone, or "
+            "the last one again; a rover that was carried there is not where it seems to be"
+        )
         self._jump = Episodes("the attitude jumped and the images did not: roll and pitch left out")
         # Where down was when the inclinometer was last believed, rover axes, and its variance
         # about x and y; vision carries it on.
@@ -114,7 +118,8 @@ class Plausibility:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What was not believed, one sentence a run of frames."""
-        return (*self._slip.sentences(), *self._jump.sentences())
+        found = (self._unseen, self._slip, self._jump)
+        return tuple(line for episodes in found for line in episodes.sentences())
 
     def odometry(
         self, frame: int, odometry: Odometry | None, relative: RelativePose
@@ -124,8 +129,11 @@ class Plausibility:
         Wheels slip, images that many landmarks agree on do not: where the two differ by more
         than their covariances allow, the difference itself becomes the wheels' uncertainty.
         """
-        if odometry is None or not relative.accepted:
+        if not relative.accepted:
+            self._unseen.note(frame)
             return odometry
+        if odometry is None:
+            return None
         seen = relative.in_frames(self._rover_T_camera)
         difference = se3_log(inverse(odometry.a_T_b) @ seen.a_T_b)
         both = odometry.covariance + seen.covariance
