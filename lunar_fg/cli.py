@@ -16,6 +16,7 @@ from lunar_fg.commands.evaluate import evaluate
 from lunar_fg.commands.export import export
 from lunar_fg.commands.fixes import fixes
 from lunar_fg.commands.geo import geo
+from lunar_fg.commands.inspect import inspect
 from lunar_fg.commands.map import terrain_map
 from lunar_fg.commands.match import match
 from lunar_fg.commands.mosaic import mosaic
@@ -81,6 +82,7 @@ app.command(name="map")(guarded(terrain_map))
 app.command()(guarded(report))
 app.command()(guarded(simulate))
 app.command()(guarded(pointing))
+app.command()(guarded(inspect))
 
 if __name__ == "__main__":
     app()
