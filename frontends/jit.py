@@ -7,6 +7,7 @@ cached on disk (a second process loads machine code instead of compiling).
 from __future__ import annotations
 
 import contextlib
+import functools
 import logging
 import time
 from collections.abc import Callable, Iterable
@@ -68,8 +69,14 @@ def _drop_stale(function: Callable[..., Any], folder: str) -> None:
                 index.unlink()
 
 
+@functools.cache
+def _announce() -> None:
+    """Say once a process that it is compiling."""
+    logger.warning("compiling the SURF kernels, once on this machine (10 to 20 s)")
+
+
 def load_kernels(kernels: Iterable[tuple[Callable[..., Any], str]]) -> float:
-    """Load each kernel from the disk cache, or compile it and say so once.
+    """Load each kernel from the disk cache, or compile it and say so once a process.
 
     Parameters
     ----------
@@ -83,13 +90,11 @@ def load_kernels(kernels: Iterable[tuple[Callable[..., Any], str]]) -> float:
         Seconds spent (wall clock).
     """
     start = time.perf_counter()
-    announced = False
     for kernel, signature in kernels:
         dispatcher = cast(Any, kernel)
         if not dispatcher.signatures and dispatcher.stats.cache_path:
             _drop_stale(dispatcher.py_func, dispatcher.stats.cache_path)
         dispatcher.compile(signature)
-        if dispatcher.stats.cache_misses and not announced:
-            announced = True
-            logger.warning("compiling the SURF kernels, once on this machine (10 to 20 s)")
+        if dispatcher.stats.cache_misses:
+            _announce()
     return time.perf_counter() - start
