@@ -16,6 +16,8 @@ from lunar_fg.config import Config
 from lunar_fg.frontend import Frontend
 from lunar_fg.graph.feed import feed
 from lunar_fg.graph.incremental import IncrementalSmoother
+from lunar_fg.graph.keyframe import Keyframe
+from lunar_fg.graph.ledger import LedgerEntry
 from lunar_fg.log import TraverseLog
 from lunar_fg.order import FrameOrder
 from lunar_fg.record import FrameReport, dead_reckoning_of
@@ -76,6 +78,8 @@ class Navigator:
             camera, self.config.disparity_check, self.config.stereo.max_depth_sigma
         )
         self._corrected = False
+        #: Measurements of the newest frame.
+        self.keyframe: Keyframe | None = None
         self._order = FrameOrder(camera)
         self._smoother = self._new_smoother()
 
@@ -90,7 +94,7 @@ class Navigator:
         """
         self._order.check(frame)
         with self.stopwatch.frame():
-            keyframe = self._frontend.measure(frame)
+            keyframe = self.keyframe = self._frontend.measure(frame)
             with self.stopwatch.stage("graph"):
                 estimate = self._smoother.add(keyframe)
             if self._log is not None:
@@ -160,6 +164,11 @@ class Navigator:
     def reports(self) -> list[FrameReport]:
         """Counts of every frame so far."""
         return [record.report for record in self._frontend.records]
+
+    @property
+    def ledger(self) -> tuple[LedgerEntry, ...]:
+        """Every absolute fix and loop closure so far, with all verdicts."""
+        return tuple(self._smoother.ledger)
 
     @property
     def frames_usable(self) -> int:

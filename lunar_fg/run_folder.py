@@ -57,6 +57,7 @@ _LATER_FILES = (
     "frames.csv",
     "route.geojson",
     "route.csv",
+    "run.rrd",
     "results.gpkg",
     "results.geojson",
     "report.html",

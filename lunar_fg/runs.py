@@ -6,6 +6,7 @@ import logging
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, replace
 from itertools import chain
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,14 @@ Frame = StereoFrame | UnusableFrame
 OnEstimate = Callable[[Estimate], None]
 
 
+class Watcher(Protocol):
+    """Sees every frame of a run with what came of it."""
+
+    def observe(self, frame: Frame, navigator: Navigator, estimate: Estimate) -> None:
+        """Take in one frame, after the navigator."""
+        ...
+
+
 def run(
     dataset: Dataset,
     folder: RunFolder,
@@ -44,6 +53,7 @@ def run(
     on_estimate: OnEstimate | None = None,
     route: RouteMonitor | None = None,
     sitting: Sitting | None = None,
+    watcher: Watcher | None = None,
 ) -> Metrics:
     """Navigate through a dataset and write the run folder.
 
@@ -63,6 +73,8 @@ def run(
         Watches the estimates against a planned route.
     sitting
         How the dataset was opened, for `resume`; by its path alone where not given.
+    watcher
+        Sees every frame with what came of it, e.g. a live view.
 
     Returns
     -------
@@ -84,7 +96,7 @@ def run(
     with TraverseLog.create(folder.database_path, header) as log:
         log.begin(sitting or Sitting(str(dataset.path.resolve())))
         navigator = Navigator(dataset.camera, config, dataset.rover_T_camera, dataset.start, log)
-        return _drive(dataset, dataset.frames(), folder, navigator, (), on_estimate, route)
+        return _drive(dataset, dataset.frames(), folder, navigator, (), on_estimate, route, watcher)
 
 
 def resume(
@@ -327,6 +339,7 @@ def _drive(
     earlier: Sequence[Estimate],
     on_estimate: OnEstimate | None,
     route: RouteMonitor | None = None,
+    watcher: Watcher | None = None,
 ) -> Metrics:
     """Take the frames through the navigator, and write all whatever happens."""
     if route is not None:
@@ -340,6 +353,8 @@ def _drive(
                 recorder.record(estimate)
                 if route is not None:
                     route.observe(estimate)
+                if watcher is not None:
+                    watcher.observe(frame, navigator, estimate)
                 if on_estimate is not None:
                     on_estimate(estimate)
     except LunarFgError as error:

@@ -17,6 +17,7 @@ from lunar_fg.console import run_summary
 from lunar_fg.datasets import open_dataset
 from lunar_fg.faults import FaultyDataset, parse_fault
 from lunar_fg.follow import Policy
+from lunar_fg.live import open_live_view
 from lunar_fg.log_entries import Sitting
 from lunar_fg.route_file import watch
 from lunar_fg.run_folder import RunFolder
@@ -59,6 +60,9 @@ def run(
     gap: Annotated[
         float | None, typer.Option(help="Seconds before that sitting, if stamps do not tell.")
     ] = None,
+    rerun: Annotated[
+        bool, typer.Option("--rerun", help="Live view in Rerun; headless into RUN/run.rrd.")
+    ] = False,
     follow: Annotated[
         bool, typer.Option("--follow", help="Take image pairs as they arrive in left/ and right/.")
     ] = False,
@@ -107,8 +111,11 @@ def run(
             folder.route_path.write_bytes(route.read_bytes())
         if faults:
             opened = FaultyDataset(opened, faults, settings.seed, folder.path)
+        live = open_live_view(opened, folder.path / "run.rrd") if rerun else None
         with navigating(folder, opened.name, len(opened)) as advance:
-            metrics = runs.run(opened, folder, settings, advance, monitor, sitting)
+            metrics = runs.run(opened, folder, settings, advance, monitor, sitting, live)
+        if live is not None:
+            live.close()
     out.print(run_summary(opened.name, metrics, output), markup=False)
 
 

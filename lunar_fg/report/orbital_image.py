@@ -8,12 +8,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import rasterio
 from numpy.typing import NDArray
-from rasterio.windows import Window, from_bounds
 
 from frontends.errors import InputError
 from lunar_fg.georeference import Georeference, read_crs, require_same
+from lunar_fg.orbital_picture import grey_levels, read_window
 from lunar_fg.results import RunResults
 
 FloatArray = NDArray[np.float64]
@@ -77,7 +76,7 @@ def thumbnail(
     if georeference is not None:
         corners = georeference.to_plane(corners)
     try:
-        found = _read(path, corners[0], corners[1], _THUMBNAIL_PX)
+        found = read_window(path, corners[0], corners[1], _THUMBNAIL_PX)
     except InputError:
         return ""
     return _jpeg(found[0], _THUMBNAIL_PX)
@@ -88,38 +87,13 @@ def _picture(path: Path, georeference: Georeference, around: FloatArray, what: s
     plane = georeference.to_plane(around[:, :2])
     low, high = plane.min(axis=0), plane.max(axis=0)
     margin = max(_MARGIN * float((high - low).max()), _LEAST_M)
-    numbers, bounds = _read(path, low - margin, high + margin, _LONGEST_PX)
+    numbers, bounds = read_window(path, low - margin, high + margin, _LONGEST_PX)
     if what.startswith("shaded"):
         numbers = _shaded(numbers, (bounds[2] - bounds[0]) / numbers.shape[1])
     corners = georeference.to_map(np.array(bounds).reshape(2, 2))
     return MapPicture(
         _jpeg(numbers), (corners[0, 0], corners[1, 0]), (corners[0, 1], corners[1, 1]), what
     )
-
-
-def _read(
-    path: Path, low: FloatArray, high: FloatArray, longest_px: int
-) -> tuple[FloatArray, tuple[float, float, float, float]]:
-    """Values of a map between two corners of its plane, NaN without data; and their bounds."""
-    try:
-        with rasterio.open(path) as raster:
-            if raster.transform.b or raster.transform.d:
-                raise InputError("is not north-up", source=path, remedy="gdalwarp makes it so")
-            box = from_bounds(*low, *high, raster.transform).round_offsets().round_lengths()
-            try:
-                window = box.intersection(Window(0, 0, raster.width, raster.height))
-            except rasterio.errors.WindowError as error:
-                raise InputError("does not reach the drive", source=path) from error
-            shrink = min(1.0, longest_px / max(window.width, window.height, 1))
-            shape = max(1, round(window.height * shrink)), max(1, round(window.width * shrink))
-            values = raster.read(1, window=window, out_shape=shape, masked=True)
-            bounds = raster.window_bounds(window)
-    except rasterio.errors.RasterioError as error:
-        raise InputError(f"cannot be read ({error})", source=path) from error
-    numbers = values.astype(np.float64).filled(np.nan)
-    if not np.isfinite(numbers).any():
-        raise InputError("has no data around the drive", source=path)
-    return numbers, bounds
 
 
 def _shaded(height_m: FloatArray, pixel_m: float) -> FloatArray:
@@ -132,11 +106,10 @@ def _shaded(height_m: FloatArray, pixel_m: float) -> FloatArray:
 
 
 def _jpeg(values: FloatArray, least_px: int = 0) -> str:
-    low, high = np.nanpercentile(values, [1.0, 99.0])
-    grey = np.clip((values - low) / max(float(high - low), 1e-12), 0.0, 1.0)
-    pixels = np.nan_to_num(255.0 * grey, nan=200.0).astype(np.uint8)
+    pixels = grey_levels(values)
     if max(pixels.shape) < least_px:
         scale = least_px / max(pixels.shape)
-        pixels = cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST)
+        size = (round(scale * pixels.shape[1]), round(scale * pixels.shape[0]))
+        pixels = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_NEAREST), np.uint8)
     _, code = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 82])
     return "data:image/jpeg;base64," + base64.b64encode(code.tobytes()).decode()
