@@ -15,7 +15,6 @@ from lunar_fg.commands.doctor import doctor
 from lunar_fg.commands.evaluate import evaluate
 from lunar_fg.commands.export import export
 from lunar_fg.commands.fixes import fixes
-from lunar_fg.commands.geo import geo
 from lunar_fg.commands.inspect import inspect
 from lunar_fg.commands.map import terrain_map
 from lunar_fg.commands.match import match
@@ -76,7 +75,6 @@ app.command()(guarded(match))
 app.command()(guarded(campaign))
 app.command()(guarded(export))
 app.command()(guarded(fixes))
-app.command()(guarded(geo))
 app.command()(guarded(mosaic))
 app.command(name="map")(guarded(terrain_map))
 app.command()(guarded(report))

@@ -11,6 +11,7 @@ from types import MappingProxyType
 import numpy as np
 
 from frontends.measurements import AbsoluteFix
+from lunar_fg.geo_export import export_geojson, export_geopackage
 from lunar_fg.graph.keyframe import Keyframe, floored
 from lunar_fg.graph.landmarks import in_rover_frames
 from lunar_fg.log import TraverseLog
@@ -122,5 +123,7 @@ EXPORTERS: Mapping[str, tuple[str, Exporter]] = MappingProxyType(
         "euroc": ("euroc.csv", export_euroc),
         "g2o": ("g2o", export_g2o),
         "mcap": ("mcap", export_mcap),
+        "gpkg": ("gpkg", export_geopackage),
+        "geojson": ("geojson", export_geojson),
     }
 )

@@ -27,8 +27,8 @@ from frontends.measurements import AbsoluteFix
 from lunar_fg.georeference import CRS_TAG, Georeference, authority_code
 from lunar_fg.graph.ledger import LedgerEntry
 from lunar_fg.ledger import entry_values
-from lunar_fg.results import RunResults
-from lunar_fg.run_folder import write_whole
+from lunar_fg.results import RunResults, read_results
+from lunar_fg.run_folder import RunFolder, write_whole
 from lunar_fg.trajectory import Trajectory
 
 FloatArray = NDArray[np.float64]
@@ -82,6 +82,18 @@ def layers(results: RunResults) -> Iterator[Layer]:
     fixes = _fixes(results.ledger)
     if len(fixes.geometries):
         yield fixes
+
+
+def export_geopackage(folder: RunFolder, target: Path) -> tuple[Path, ...]:
+    """GeoPackage of a run folder, see `write_geopackage`."""
+    write_geopackage(read_results(folder), target)
+    return (target,)
+
+
+def export_geojson(folder: RunFolder, target: Path) -> tuple[Path, ...]:
+    """GeoJSON of a run folder, see `write_geojson`."""
+    write_geojson(read_results(folder), target)
+    return (target,)
 
 
 def write_geopackage(results: RunResults, path: Path) -> None:

@@ -58,8 +58,8 @@ _LATER_FILES = (
     "route.geojson",
     "route.csv",
     "run.rrd",
-    "results.gpkg",
-    "results.geojson",
+    "export.gpkg",
+    "export.geojson",
     "report.html",
 )
 _PICTURES = ("*.png", "*.svg", "*.pdf")

@@ -56,7 +56,9 @@ def measure_points(
     wanted = _spaced(results, spacing_m)
     found = []
     for sitting in sittings:
-        for frame in _frames(_reopened(results, sitting), sitting):
+        calibration = [Path(path) for path in sitting.calibration]
+        dataset = open_dataset(sitting.dataset, sitting.images, sitting.traverse, calibration)
+        for frame in _frames(dataset, sitting):
             if on_frame is not None:
                 on_frame()
             if frame.index in wanted:
@@ -118,11 +120,6 @@ def _spaced(results: RunResults, spacing_m: float) -> set[int]:
             chosen.add(frame)
             last = pose[:3, 3]
     return chosen
-
-
-def _reopened(results: RunResults, sitting: Sitting) -> Dataset:
-    calibration = () if results.source is None else results.source.calibration
-    return open_dataset(sitting.dataset, sitting.images, sitting.traverse, calibration)
 
 
 def _frames(dataset: Dataset, sitting: Sitting) -> Iterator[StereoFrame]:

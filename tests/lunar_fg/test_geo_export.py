@@ -100,13 +100,13 @@ def test_geojson_is_longitude_and_latitude_of_the_moon(results: RunResults, tmp_
 
 def test_without_a_map_reference_it_is_metres_of_the_map_frame(tmp_path: Path) -> None:
     folder = write_finished_run(tmp_path / "run", crs=None)
-    answer = CliRunner().invoke(app, ["geo", str(folder.path)])
-    assert answer.exit_code == 0, answer.output
-    assert "metres of a local frame" in answer.stdout
-    _, points = read(folder.path / "results.gpkg", "poses")
+    for name in ("gpkg", "geojson"):
+        answer = CliRunner().invoke(app, ["export", str(folder.path), "--format", name])
+        assert answer.exit_code == 0, answer.output
+    _, points = read(folder.path / "export.gpkg", "poses")
     positions = read_results(folder).trajectory.positions
     np.testing.assert_allclose(shapely.get_coordinates(points), positions[:, :2], atol=1e-8)
-    content = json.loads((folder.path / "results.geojson").read_text())
+    content = json.loads((folder.path / "export.geojson").read_text())
     assert content["crs"]["properties"]["name"] == "map"
 
 
