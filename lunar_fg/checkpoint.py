@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from dataclasses import dataclass, field
 from typing import Any, Self
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -74,8 +75,11 @@ class Checkpoint:
         ValueError, KeyError, OSError, EOFError
             It is damaged.
         """
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            arrays = dict(archive)
+        try:
+            with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+                arrays = dict(archive)
+        except (BadZipFile, TypeError, AttributeError) as error:
+            raise ValueError(str(error)) from error
         vertical_measured, watching, corrected = map(bool, arrays["flags"])
         memory = finding = images = None
         if "images" in arrays:

@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 import yaml
@@ -297,7 +298,7 @@ def _with_covariance(trajectory: Trajectory, path: Path) -> Trajectory:
     try:
         with np.load(path) as arrays:
             stamps, covariance = arrays["stamp_s"], arrays["covariance"]
-    except (OSError, ValueError, KeyError, EOFError) as error:
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
         problem = "is not an archive of stamp_s and covariance"
         raise InputError(problem, source=path) from error
     if len(stamps) != len(trajectory) or not np.allclose(
