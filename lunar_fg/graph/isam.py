@@ -111,7 +111,7 @@ class GuardedIsam:
         """
         try:
             self._isam.update(factors, values, [], _ordered_last(factors))
-            self._check_finite(values)
+            _require_finite(self._isam, values)
         except _GTSAM_ERRORS as error:
             return self._recover(factors, values, frame, error)
         self._factors.push_back(factors)
@@ -202,10 +202,6 @@ class GuardedIsam:
             self._factors.remove(i)
         self._initial = values_without(self._initial, landmarks)
 
-    def _check_finite(self, values: gtsam.Values) -> None:
-        if not all(np.isfinite(self.pose(key)).all() for key in _pose_keys(values)):
-            raise ValueError("the estimate is not finite")
-
     def _linearization(self) -> gtsam.Values:
         """Where iSAM2 stood, of the variables in the books, also after a failed update."""
         values = gtsam.Values(self._initial)
@@ -251,6 +247,7 @@ class GuardedIsam:
             isam = self._fresh()
             try:
                 isam.update(whole, start)
+                _require_finite(isam, values)
             except _GTSAM_ERRORS as failure:
                 reason = failure
                 continue
@@ -353,6 +350,13 @@ def _ordered_last(factors: gtsam.NonlinearFactorGraph) -> gtsam.KeyGroupMap | No
     for key in poses:
         last.insert2(key, 1)
     return last
+
+
+def _require_finite(isam: gtsam.ISAM2, values: gtsam.Values) -> None:
+    """Raise what GTSAM raises, or a ValueError, unless the poses among these have an estimate."""
+    for key in _pose_keys(values):
+        if not np.isfinite(isam.calculateEstimatePose3(key).matrix()).all():
+            raise ValueError("the estimate is not finite")
 
 
 def _is_pose(key: int) -> bool:

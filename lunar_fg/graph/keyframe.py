@@ -19,6 +19,8 @@ from frontends.measurements import (
 from lunar_fg.graph.checks import check_covariance, check_finite, check_observations, check_pose
 
 _LEAST_MOTION_SIGMA = (1e-6, 1e-5)
+#: rad; what is known better makes the graph indeterminate.
+_LEAST_TILT_SIGMA = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,10 +67,10 @@ class Keyframe:
                 check_covariance(motion.covariance, 6, source, f"{name}.covariance")
         if self.tilt is not None:
             check_finite([self.tilt.roll_rad, self.tilt.pitch_rad], source, "tilt")
-            if not 0.0 < self.tilt.sigma_rad < np.pi:
+            if not _LEAST_TILT_SIGMA <= self.tilt.sigma_rad < np.pi:
                 raise InputError(
                     f"is {self.tilt.sigma_rad}", source=source, field="tilt.sigma_rad",
-                    remedy="give a 1-sigma in radians, above 0",
+                    remedy=f"give a 1-sigma in radians, {_LEAST_TILT_SIGMA:g} or more",
                 )  # fmt: skip
 
     def motion(self, rover_T_camera: FloatArray) -> tuple[FloatArray, FloatArray] | None:

@@ -11,7 +11,14 @@ from hypothesis import strategies as st
 from frontends.errors import EstimationError, InputError
 from frontends.measurements import Odometry, StartPrior, Tilt
 from lunar_fg.graph import GraphConfig, IncrementalSmoother
-from lunar_fg.graph.factors import between_factor, gaussian, pose_key, start_factor, tilt_factor
+from lunar_fg.graph.factors import (
+    between_factor,
+    gaussian,
+    pose_key,
+    start_factor,
+    tilt_factor,
+    upright_factor,
+)
 from lunar_fg.graph.isam import GuardedIsam
 from lunar_fg.simulation.measurements import TraverseSpec, simulate
 
@@ -164,6 +171,19 @@ def test_a_failed_update_names_the_frame_and_keeps_the_rest(qr):
     good = between_factor(pose_key(0), pose_key(1), np.eye(4), np.eye(6), "test")
     isam.update(graph_of(good), values_of(pose_key(1)), 12)
     assert np.isfinite(isam.joint_covariance(pose_key(0), pose_key(1))).all()
+
+
+@pytest.mark.parametrize("qr", [True, False])
+def test_an_indeterminate_system_is_told_by_frame_and_set_aside(qr):
+    isam = GuardedIsam(qr=qr)
+    isam.update(graph_of(start_factor(pose_key(0), StartPrior())), values_of(pose_key(0)), 10)
+    motion = between_factor(pose_key(0), pose_key(1), np.eye(4), np.eye(6), "test")
+    # a sigma whose square is no number any more, past all checks
+    absurd = upright_factor(pose_key(1), np.array([0.0, 0.0, 1.0]), 1e-200)
+    with pytest.raises(EstimationError, match=r"keyframe 11.*left out"):
+        isam.update(graph_of(motion, absurd), values_of(pose_key(1)), 11)
+    isam.update(graph_of(motion), values_of(pose_key(1)), 12)
+    assert np.isfinite(isam.covariance(pose_key(1))).all()
 
 
 def test_a_pose_without_a_measurement_is_an_error_not_a_crash():
