@@ -6,7 +6,7 @@ import json
 import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, astuple, replace
+from dataclasses import asdict, astuple
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -37,7 +37,7 @@ from lunar_fg.log_rows import (
 )
 from lunar_fg.record import FrameRecord
 
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 
 
 class TraverseLog:
@@ -193,16 +193,17 @@ class TraverseLog:
     def begin(self, sitting: Sitting) -> None:
         """Note the dataset that the next frames are of."""
         with self._transaction():
-            *values, calibration = astuple(sitting)
+            values = astuple(sitting)
+            values = (*values[:5], json.dumps(values[5:]))  # calibration, topics, faults
             marks = "(SELECT count(*) FROM sitting), ?, ?, ?, ?, ?, ?"
-            values.append(json.dumps(calibration))
             self._db.execute(f"INSERT INTO sitting VALUES ({marks})", values)
 
     def sittings(self) -> list[Sitting]:
         """Datasets of the run, in order."""
         rows = self._query("SELECT * FROM sitting ORDER BY number")
         return [
-            replace(Sitting(*row[1:-1]), calibration=tuple(json.loads(row[-1]))) for row in rows
+            Sitting(dataset, images, traverse, index, stamp_s, *map(tuple, json.loads(given)))
+            for _, dataset, images, traverse, index, stamp_s, given in rows
         ]
 
     def append(

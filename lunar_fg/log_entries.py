@@ -16,8 +16,10 @@ class Sitting:
 
     Attributes
     ----------
-    dataset, images, traverse, calibration
+    dataset, images, traverse, calibration, topics
         As given to `lunar_fg.datasets.open_dataset`.
+    faults
+        Texts of the faults that were injected.
     index_offset, stamp_offset_s
         What its frame numbers and stamps were raised by to follow the sitting before.
     """
@@ -28,6 +30,8 @@ class Sitting:
     index_offset: int = 0
     stamp_offset_s: float = 0.0
     calibration: tuple[str, ...] = ()
+    topics: tuple[str, ...] = ()
+    faults: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,7 +36,7 @@ CREATE TABLE run (only INTEGER PRIMARY KEY CHECK (only = 1), camera TEXT NOT NUL
     config TEXT NOT NULL);
 CREATE TABLE sitting (number INTEGER PRIMARY KEY, dataset TEXT NOT NULL, images TEXT,
     traverse TEXT, index_offset INTEGER NOT NULL, stamp_offset_s REAL NOT NULL,
-    calibration TEXT NOT NULL);
+    given TEXT NOT NULL);
 CREATE TABLE keyframe (frame INTEGER PRIMARY KEY, stamp_s REAL NOT NULL,
     tilt_roll_rad REAL, tilt_pitch_rad REAL, tilt_sigma_rad REAL,
     odometry_pose BLOB, odometry_covariance BLOB);

@@ -14,6 +14,7 @@ from lunar_fg.commands.shared import out
 from lunar_fg.console import run_summary
 from lunar_fg.datasets import open_dataset
 from lunar_fg.datasets.base import Dataset
+from lunar_fg.faults import FaultyDataset, parse_fault
 from lunar_fg.route import RouteMonitor
 from lunar_fg.route_file import watch
 from lunar_fg.run_folder import RunFolder
@@ -34,7 +35,12 @@ def resume(
     if dataset is not None:
         sitting = replace(sitting, dataset=str(dataset))
     calibration = [Path(path) for path in sitting.calibration]
-    opened = open_dataset(sitting.dataset, sitting.images, sitting.traverse, calibration)
+    opened: Dataset = open_dataset(
+        sitting.dataset, sitting.images, sitting.traverse, calibration, sitting.topics
+    )
+    if sitting.faults:
+        faults = [parse_fault(text) for text in sitting.faults]
+        opened = FaultyDataset(opened, faults, runs.settings_of(folder).seed, folder.path)
     route = route_of(folder, opened)
     with navigating(folder, opened.name, len(opened)) as advance:
         metrics = runs.resume(opened, folder, advance, route)

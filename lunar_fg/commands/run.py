@@ -93,6 +93,8 @@ def run(
         calibration=tuple(
             str(path.resolve() if path.exists() else path) for path in calibration or ()
         ),
+        topics=tuple(topic or ()),
+        faults=tuple(inject or ()),
     )
     if append:
         _refuse_with_append(

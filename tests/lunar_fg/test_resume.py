@@ -174,6 +174,18 @@ def test_what_cannot_be_resumed_is_named(
     assert "run.db" in error_of(lunar_fg("resume", folder))
 
 
+def test_injected_faults_are_injected_again(drive: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    assert lunar_fg("run", drive, "-o", run, "--inject", "frozen@4-5").exit_code == 0
+    before = (run / "trajectory.tum").read_text()
+    with TraverseLog.reopen(run / "run.db") as log:
+        assert log.sittings()[0].faults == ("frozen@4-5",)
+        unusable = [frame.record.unusable for frame in log.frames()]
+        assert all("frame before" in text for text in unusable[4:6])
+    assert lunar_fg("resume", run).exit_code == 0
+    assert (run / "trajectory.tum").read_text() == before
+
+
 def test_replay_with_the_same_settings_gives_the_same(
     snapshots: list[Path], tmp_path: Path
 ) -> None:
