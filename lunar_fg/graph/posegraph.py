@@ -27,6 +27,9 @@ from lunar_fg.graph.planar import Planar, PlanarChain
 from lunar_fg.graph.segment import Segment, SegmentSolution
 from lunar_fg.graph.uprights import uprights
 
+#: rad, m. Poses alone cost little, and what a fix moved by metres must come back to millimetres.
+_RELINEARIZE_THRESHOLD = 0.01
+
 
 class SegmentGraph:
     """The graph of ``landmarks="segments"``.
@@ -49,7 +52,7 @@ class SegmentGraph:
         self._start = start
         self._config = config
         # One pose in segment_keyframes: QR costs no more than Cholesky and has no 4096 rule.
-        self._isam = GuardedIsam(qr=True)
+        self._isam = GuardedIsam(qr=True, relinearize_threshold=_RELINEARIZE_THRESHOLD)
         self._segment: Segment | None = None
         self._last: Keyframe | None = None
         self._tilts: dict[int, Tilt] = {}
