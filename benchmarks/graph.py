@@ -1,9 +1,10 @@
 """What the graph costs a keyframe, and how well its ways agree; tables and JSON.
 
-Run from the checkout: ``python -m benchmarks.graph [--most 10000] [--json OUT]``. CPU time of the
-process, so a busy machine disturbs little. All ways take each keyframe in turn, so that what
-disturbs one disturbs all. "plain iSAM2" is what most tutorials do: every landmark in GTSAM's
-ISAM2 with its default parameters and its own ordering, from the same gated tracks.
+Run from the checkout: ``python -m benchmarks.graph [PART ...]``; the JSON and the page beside it
+keep the parts that are not run. CPU time of the process, so a busy machine disturbs little. All
+ways take each keyframe in turn, so that what disturbs one disturbs all. "plain iSAM2" is what
+most tutorials do: every landmark in GTSAM's ISAM2 with its default parameters and its own
+ordering, from the same gated tracks.
 """
 
 from __future__ import annotations
@@ -11,13 +12,17 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import process_time
 
 import gtsam
 import numpy as np
 
+from benchmarks.false_fixes import study
+from benchmarks.fix_cost import fix_cost, taken_back
+from benchmarks.graph_page import page
+from benchmarks.traverses import kitti_fixes, spirit
 from frontends.camera import StereoCamera
 from frontends.geometry import inverse, se3_log
 from frontends.measurements import FloatArray, StartPrior
@@ -32,6 +37,8 @@ from lunar_fg.graph import (
 from lunar_fg.graph.factors import pose_key
 from lunar_fg.graph.landmarks import WholeGraph, map_point
 from lunar_fg.simulation.measurements import TraverseSpec, simulate
+
+_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 Feed = Callable[[Keyframe], object]
 
@@ -200,46 +207,52 @@ def simulated(keyframes: int) -> Data:
     )
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--most", type=int, default=10_000, help="keyframes for segments")
-    parser.add_argument("--most-full", type=int, default=600, help="keyframes for full landmarks")
-    parser.add_argument("--most-plain", type=int, default=300, help="keyframes for plain iSAM2")
-    parser.add_argument("--json", type=Path)
-    arguments = parser.parse_args()
+def costs(arguments: argparse.Namespace) -> list[Cost]:
+    """Cost of a keyframe against the length of the run."""
     most = {
         "segments": arguments.most,
         "full": arguments.most_full,
         "plain iSAM2": arguments.most_plain,
     }
-    marks = [n for n in (100, 300, 600, 1_000, 3_000, 10_000, 50_000) if n <= arguments.most]
-    long = simulated(arguments.most)
-    costs = cost_against_length(long, marks, most)
-    print("way          keyframes  ms median     mean      p95      max   total s")
-    for c in sorted(costs, key=lambda c: c.keyframes):
-        print(
-            f"{c.way:12} {c.keyframes:9} {c.ms_median:10.2f} {c.ms_mean:8.2f} {c.ms_p95:8.1f} "
-            f"{c.ms_max:8.1f} {c.total_s:9.2f}"
-        )
-    short = replace(long, keyframes=long.keyframes[:200], truth=_first(long.truth, 200))
+    marks = [n for n in (100, 200, 300, 600, 1_000, 3_000, 10_000, 50_000) if n <= arguments.most]
+    return cost_against_length(simulated(arguments.most), marks, most)
+
+
+def agreements() -> list[Agreement]:
+    """Segments, full and batch on simulated and on real landmarks."""
     kitti = read_landmarks("00s")
     real = Data("KITTI-00s", kitti.camera, kitti.rover_T_camera, kitti.start, kitti.keyframes, None)
-    agreements = [*agreement(short), *agreement(real)]
-    print("\ndata       way       keyframes  CPU s   gap m    deg   ATE m  NEES")
-    for a in agreements:
-        accuracy = "" if a.ate_m is None else f"  {a.ate_m:.3f}  {a.nees_last:.2f}"
-        print(
-            f"{a.data:10} {a.way:9} {a.keyframes:9} {a.seconds:6.2f} {a.gap_max_m:7.4f} "
-            f"{a.gap_max_deg:6.4f}{accuracy}"
-        )
-    if arguments.json:
-        found = {"cost": costs, "agreement": agreements}
-        text = json.dumps({k: [asdict(row) for row in rows] for k, rows in found.items()}, indent=1)
-        arguments.json.write_text(text)
+    return [*agreement(simulated(200)), *agreement(real)]
 
 
-def _first(truth: FloatArray | None, count: int) -> FloatArray | None:
-    return None if truth is None else truth[:count]
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parts = ("cost", "agreement", "fix cost", "taken back", "false fixes", "KITTI-00", "Spirit")
+    parser.add_argument("parts", nargs="*", default=parts, help=f"of {', '.join(parts)}")
+    parser.add_argument("--most", type=int, default=10_000, help="keyframes for segments")
+    parser.add_argument("--most-full", type=int, default=600, help="keyframes for full landmarks")
+    parser.add_argument("--most-plain", type=int, default=300, help="keyframes for plain iSAM2")
+    parser.add_argument("--runs", type=int, default=10, help="seeds of each false-fix setting")
+    parser.add_argument("--data", type=Path, default=_DATA, help="folder of the real data")
+    parser.add_argument("--json", type=Path, default=Path("docs/benchmarks/graph.json"))
+    arguments = parser.parse_args()
+    most, data = arguments.most, arguments.data
+    telemetry = data / "spirit-traverse" / "MERA-MER2-Spirit_traverse_path.csv"
+    measure: dict[str, Callable[[], Sequence[object]]] = {
+        "cost": lambda: costs(arguments),
+        "agreement": agreements,
+        "fix cost": lambda: [fix_cost(n) for n in (1_000, 3_000) if n <= most],
+        "taken back": lambda: [r for n in (1_000, 10_000) if n <= most for r in taken_back(n)],
+        "false fixes": lambda: study(arguments.runs),
+        "KITTI-00": lambda: kitti_fixes(data / "kitti-gt-poses" / "gt" / "00.txt"),
+        "Spirit": lambda: [spirit(telemetry, every) for every in (20, 50, 200)],
+    }
+    found = json.loads(arguments.json.read_text()) if arguments.json.is_file() else {}
+    for part in arguments.parts:
+        found[part] = [asdict(row) for row in measure[part]()]  # type: ignore[call-overload]
+        # Written part by part: what was measured is kept.
+        arguments.json.write_text(json.dumps(found, indent=1) + "\n")
+        arguments.json.with_suffix(".md").write_text(page(found))
 
 
 if __name__ == "__main__":

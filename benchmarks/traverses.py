@@ -187,15 +187,20 @@ def drift_a_root_metre(telemetry: Telemetry, every: int) -> float:
     """How fast telemetry drifts from one used position to the next, m per root metre, an axis.
 
     From the first tenth of the mission, which is not evaluated, and its used positions alone.
+    Slip and heading errors last, so the drift grows faster than the root of the length: it is
+    taken at the scale, of one used position or of many, where it is the largest.
     """
     used = np.arange(0, int(_LEARN_SHARE * len(telemetry)), every)
     length = np.concatenate(
         [[0.0], np.cumsum(np.linalg.norm(np.diff(telemetry.raw_m, axis=0), axis=1))]
     )
-    gap = np.diff(telemetry.raw_m[used], axis=0) - np.diff(telemetry.corrected_m[used], axis=0)
-    noise = 4.0 * _SIGMA_CORRECTED_M**2
-    drift = ((gap**2).sum(axis=1) - noise).sum() / (2.0 * np.diff(length[used])).sum()
-    return float(np.sqrt(max(drift, 1e-4)))
+    noise, found = 4.0 * _SIGMA_CORRECTED_M**2, [1e-4]
+    while len(used) > 3:
+        gap = np.diff(telemetry.raw_m[used] - telemetry.corrected_m[used], axis=0)
+        excess = ((gap**2).sum(axis=1) - noise).sum()
+        found.append(excess / (2.0 * np.diff(length[used]).sum()))
+        used = used[::2]
+    return float(np.sqrt(max(found)))
 
 
 def _legs(telemetry: Telemetry, drift: float) -> list[Keyframe]:
