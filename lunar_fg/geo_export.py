@@ -17,8 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyogrio.errors
-import pyogrio.raw
 import shapely
 from numpy.typing import NDArray
 
@@ -104,6 +102,10 @@ def write_geopackage(results: RunResults, path: Path) -> None:
     InputError
         The file cannot be written.
     """
+    # pyogrio imports pandas where that is installed: seconds that no other command should wait.
+    import pyogrio.errors
+    import pyogrio.raw
+
     georeference = results.georeference
     crs = None if georeference is None else georeference.code or georeference.crs.to_wkt()
     beside = path.with_name(f".{path.stem}.{os.getpid()}.tmp.gpkg")

@@ -9,10 +9,6 @@ from typing import Annotated
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from lunar_fg.campaign.campaign import run_campaign
-from lunar_fg.campaign.results import Results
-from lunar_fg.campaign.study import read_study
-from lunar_fg.campaign.workers import DaskCluster, LocalProcesses, Workers
 from lunar_fg.commands.shared import err, out
 
 
@@ -30,6 +26,12 @@ def campaign(
 
     Example: lunar-fg campaign study.yaml -o campaigns/first
     """
+    # plotly and pyarrow take seconds to import: no other command should wait for them.
+    from lunar_fg.campaign.campaign import run_campaign
+    from lunar_fg.campaign.results import Results
+    from lunar_fg.campaign.study import read_study
+    from lunar_fg.campaign.workers import DaskCluster, LocalProcesses, Workers
+
     read = read_study(study)
     total = len(read.trials())
     results = Results.open(output, read)

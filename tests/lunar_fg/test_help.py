@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+import sys
 
 import pytest
 import typer
@@ -52,6 +54,13 @@ def test_the_doctor_names_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> No
     assert answer.exit_code == 1
     assert "no-such-package is not installed" in answer.stdout
     assert "GB are free" in answer.stdout
+
+
+def test_no_command_waits_for_what_another_needs() -> None:
+    code = "import sys, lunar_fg.cli; print(*sys.modules)"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    heavy = {"plotly", "pandas", "pyarrow", "pyogrio", "rerun", "distributed", "playwright"}
+    assert not heavy & set(found.stdout.split())
 
 
 def test_the_shell_can_complete() -> None:
