@@ -1,0 +1,80 @@
+"""Proposers by correlation: the re-lit relief in the image, the relief in the DEM."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from frontends.absolute.channels import elevation_channels, rendered_channels
+from frontends.absolute.patch import ReliefPatch
+from frontends.absolute.proposal import Proposal, radius_m, window_bounds
+from frontends.absolute.search import Channel, Search, correlate, find_peak, yaw_steps
+from frontends.orbital import MapWindow, OrbitalMap
+
+#: Known share of the map window below which there is nothing to search in.
+_LEAST_KNOWN = 0.3
+#: Share of a patch in shadow under the map's sun above which it is too dark.
+_MOST_DARK = 0.6
+
+
+@dataclass(frozen=True, slots=True)
+class RelitRelief:
+    """The rover's relief, lit by the map's sun, in the ortho image."""
+
+    name: str = "relit relief"
+
+    def propose(self, patch: ReliefPatch, orbital: OrbitalMap, search: Search) -> Proposal:
+        """See `Proposer`."""
+        if orbital.ortho is None or orbital.sun is None:
+            what = "no ortho image" if orbital.ortho is None else "the map's sun is not known"
+            return Proposal(self.name, reason=what)
+        if orbital.sun.elevation_deg <= 0.0:
+            return Proposal(self.name, reason="too dark: the map's sun is below the horizon")
+        window = orbital.ortho.window(window_bounds(patch, search), patch.grid.cell_m)
+        sun = orbital.sun
+        return _correlated(
+            self.name, patch, window, search, lambda: rendered_channels(patch, window, sun)
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class ReliefInDem:
+    """The rover's slopes in those of the orbital elevation model."""
+
+    name: str = "relief in DEM"
+
+    def propose(self, patch: ReliefPatch, orbital: OrbitalMap, search: Search) -> Proposal:
+        """See `Proposer`."""
+        if orbital.dem is None:
+            return Proposal(self.name, reason="no elevation model")
+        window = orbital.height(window_bounds(patch, search), patch.grid.cell_m)
+        assert window is not None
+        return _correlated(
+            self.name, patch, window, search, lambda: elevation_channels(patch, window)
+        )
+
+
+def _correlated(
+    name: str,
+    patch: ReliefPatch,
+    window: MapWindow,
+    search: Search,
+    make: Callable[[], tuple[list[Channel], tuple[float, float]]],
+) -> Proposal:
+    known = float(np.isfinite(window.values).mean())
+    if known < _LEAST_KNOWN:
+        reason = f"the map has no data there ({known:.0%} of the window is known)"
+        return Proposal(name, reason=reason, window=window)
+    channels, anchor = make()
+    template, seen = channels[0].template(0.0)
+    if seen.any() and float(np.mean(np.abs(template[seen]) < 1e-6)) > _MOST_DARK:
+        return Proposal(name, reason="too dark or flat under the map's sun", window=window)
+    yaws = yaw_steps(search.half_yaw_rad, 0.6 * radius_m(patch), patch.grid.cell_m)
+    volume = correlate(channels, yaws, window.grid, anchor)
+    peak = find_peak(volume)
+    shown = MapWindow(window.grid, np.where(channels[0].mask, channels[0].image, np.nan))
+    picture = np.where(seen, template, np.nan).astype(np.float32)
+    reason = "" if peak else "the map does not hold the patch anywhere in the window"
+    return Proposal(name, peak, reason, window=shown, template=picture, volume=volume)
