@@ -6,14 +6,18 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from frontends.absolute import AbsoluteConfig
 from frontends.disparity_check import DisparityCheckConfig
 from frontends.errors import InputError
 from frontends.relative import RelativeConfig
 from frontends.stereo import StereoConfig
+from frontends.terrain import DenseStereoConfig
 from frontends.tracking import TrackingConfig
 from lunar_fg.datasets.strict_yaml import read_yaml
 from lunar_fg.graph.config import GraphConfig
+from lunar_fg.localisation import LocalisationConfig
 from lunar_fg.motion_config import MotionConfig
+from lunar_fg.orbital_files import MapConfig
 from lunar_fg.route import RouteConfig
 
 
@@ -24,7 +28,8 @@ class Config(BaseModel):
     ----------
     seed
         Of every random choice.
-    stereo, tracking, relative, disparity_check, motion, graph, route
+    stereo, tracking, relative, disparity_check, motion, graph, route, map, localisation,
+    absolute, dense
         See the classes.
     """
 
@@ -38,6 +43,10 @@ class Config(BaseModel):
     motion: MotionConfig = Field(default_factory=MotionConfig)
     graph: GraphConfig = Field(default_factory=GraphConfig)
     route: RouteConfig = Field(default_factory=RouteConfig)
+    map: MapConfig = Field(default_factory=MapConfig)
+    localisation: LocalisationConfig = Field(default_factory=LocalisationConfig)
+    absolute: AbsoluteConfig = Field(default_factory=AbsoluteConfig)
+    dense: DenseStereoConfig = Field(default_factory=DenseStereoConfig)
 
 
 def read_config(path: Path) -> Config:

@@ -11,6 +11,8 @@ from frontends.camera import StereoCamera, level_rover_T_camera
 from frontends.detector import FeatureDetector
 from frontends.errors import InputError
 from frontends.measurements import Estimate, StartPrior, StereoFrame, UnusableFrame
+from frontends.orbital import OrbitalMap
+from frontends.rectification import RectificationError
 from lunar_fg.checkpoint import Checkpoint
 from lunar_fg.config import Config
 from lunar_fg.frontend import Frontend
@@ -18,6 +20,7 @@ from lunar_fg.graph.feed import feed
 from lunar_fg.graph.incremental import IncrementalSmoother
 from lunar_fg.graph.keyframe import Keyframe
 from lunar_fg.graph.ledger import LedgerEntry
+from lunar_fg.localisation import Localisation
 from lunar_fg.log import TraverseLog
 from lunar_fg.order import FrameOrder
 from lunar_fg.record import FrameReport, dead_reckoning_of
@@ -50,6 +53,8 @@ class Navigator:
         Feature detector; upright SURF by default.
     stopwatch
         Times the stages; by the wall clock by default.
+    orbital
+        Map from orbit; with it, absolute fixes remove the drift.
     """
 
     def __init__(
@@ -61,6 +66,7 @@ class Navigator:
         log: TraverseLog | None = None,
         detector: FeatureDetector | None = None,
         stopwatch: Stopwatch | None = None,
+        orbital: OrbitalMap | None = None,
     ) -> None:
         self.camera = camera
         self.config = config or Config()
@@ -82,6 +88,10 @@ class Navigator:
         self.keyframe: Keyframe | None = None
         self._order = FrameOrder(camera)
         self._smoother = self._new_smoother()
+        self.localisation = None if orbital is None else Localisation(
+            camera, self.rover_T_camera, orbital,
+            self.config.localisation, self.config.absolute, self.config.dense,
+        )  # fmt: skip
 
     def step(self, frame: StereoFrame | UnusableFrame) -> Estimate:
         """Take in the next frame and return the pose it leads to.
@@ -104,6 +114,9 @@ class Navigator:
             if self._calibration.watch(keyframe):
                 with self.stopwatch.stage("self-calibration"):
                     estimate = self._recalibrate()
+            if self.localisation is not None:
+                with self.stopwatch.stage("absolute fix"):
+                    estimate = self._localise(frame, keyframe, estimate)
         self._order.accept(frame)
         self.frames_lost += estimate.lost
         return estimate
@@ -192,6 +205,29 @@ class Navigator:
     def _new_smoother(self) -> IncrementalSmoother:
         return IncrementalSmoother(self.camera, self.rover_T_camera, self._start, self.config.graph)
 
+    def _localise(
+        self, frame: StereoFrame | UnusableFrame, keyframe: Keyframe, estimate: Estimate
+    ) -> Estimate:
+        """Map the ground, and fix the rover to the orbital map where that is due."""
+        assert self.localisation is not None
+        rectification = self._frontend.perception.rectification
+        new_ground = self.localisation.observe(
+            frame, keyframe.observations, rectification, estimate.map_T_rover
+        )
+        # before the calibration is settled, the ground may have another scale
+        if not new_ground or self._calibration.watching:
+            return estimate
+        decision = self.localisation.fix(self._smoother)
+        if decision is None:
+            return estimate
+        if self._log is not None:
+            self._log.append_decisions([decision])
+        latest = self._smoother.predicted(estimate.index)
+        used = (*estimate.used, "absolute fix") if decision.accepted else estimate.used
+        return replace(
+            estimate, map_T_rover=latest.map_T_rover, covariance=latest.covariance, used=used
+        )
+
     def _checkpoint(self) -> Checkpoint:
         return replace(
             self._frontend.checkpoint(),
@@ -212,6 +248,8 @@ class Navigator:
         ]
         self._frontend.adopt(finding.field_px, keyframes)
         self._calibration.forget()
+        if self.localisation is not None:
+            self.localisation.correct(RectificationError(disparity_px=finding.field_px))
         self._corrected = True
         if self._log is not None:
             self._log.rewrite(entries, self._checkpoint(), smoother.ledger)

@@ -25,6 +25,7 @@ from lunar_fg.graph.keyframe import SmoothedTrajectory
 from lunar_fg.log import TraverseLog
 from lunar_fg.log_entries import RunHeader, Sitting
 from lunar_fg.navigator import Navigator
+from lunar_fg.orbital_files import open_orbital
 from lunar_fg.order import InOrder
 from lunar_fg.record import FrameReport
 from lunar_fg.recorder import EstimateRecorder
@@ -95,7 +96,10 @@ def run(
     )
     with TraverseLog.create(folder.database_path, header) as log:
         log.begin(sitting or Sitting(str(dataset.path.resolve())))
-        navigator = Navigator(dataset.camera, config, dataset.rover_T_camera, dataset.start, log)
+        navigator = Navigator(
+            dataset.camera, config, dataset.rover_T_camera, dataset.start, log,
+            orbital=open_orbital(dataset, config.map),
+        )  # fmt: skip
         return _drive(dataset, dataset.frames(), folder, navigator, (), on_estimate, route, watcher)
 
 
@@ -297,9 +301,11 @@ def _navigator_of(log: TraverseLog, dataset: Dataset) -> Navigator:
             field="camera",
             remedy="give the dataset of the run, or start a new run",
         )
+    config = config_of(header)
     navigator = Navigator(
-        header.camera, config_of(header), header.rover_T_camera, header.start, log
-    )
+        header.camera, config, header.rover_T_camera, header.start, log,
+        orbital=open_orbital(dataset, config.map),
+    )  # fmt: skip
     navigator.resume()
     return navigator
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -52,6 +53,11 @@ def run(
         list[str] | None,
         typer.Option(help="Fault to inject, NAME@FIRST-LAST, e.g. frozen@40-60; repeatable."),
     ] = None,
+    ortho: Annotated[
+        Path | None,
+        typer.Option("--map", help="Orbital image of the place: absolute fixes remove the drift."),
+    ] = None,
+    dem: Annotated[Path | None, typer.Option(help="Orbital elevation model of the place.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of all random choices.")] = None,
     overwrite: Overwrite = False,
     append: Annotated[
@@ -98,7 +104,13 @@ def run(
     )
     if append:
         _refuse_with_append(
-            inject=inject, config=config, seed=seed, overwrite=overwrite or None, route=route
+            inject=inject,
+            config=config,
+            seed=seed,
+            overwrite=overwrite or None,
+            route=route,
+            map=ortho,
+            dem=dem,
         )
         folder = RunFolder.open(output)
         with navigating(folder, opened.name, len(opened)) as advance:
@@ -106,6 +118,9 @@ def run(
             metrics = runs.append(opened, folder, sitting, gap, advance, planned)
     else:
         settings = _settings(config, seed)
+        if ortho is not None or dem is not None:
+            named = replace(settings.map, ortho=_resolved(ortho), dem=_resolved(dem), use=True)
+            settings = settings.model_copy(update={"map": named})
         monitor = None if route is None else watch(route, opened, settings.route)
         folder = RunFolder.create(output, settings, overwrite=overwrite)
         RunSource.of(opened, images, traverse, calibration=calibration or ()).write(folder)
@@ -124,6 +139,10 @@ def run(
 def _settings(config: Path | None, seed: int | None) -> Config:
     settings = Config() if config is None else read_config(config)
     return settings if seed is None else settings.model_copy(update={"seed": seed})
+
+
+def _resolved(path: Path | None) -> Path | None:
+    return None if path is None else path.resolve()
 
 
 def _absolute(path: Path | None) -> str | None:
