@@ -16,6 +16,7 @@ from lunar_fg.commands.evaluate import evaluate
 from lunar_fg.commands.export import export
 from lunar_fg.commands.fixes import fixes
 from lunar_fg.commands.inspect import inspect
+from lunar_fg.commands.locate import locate_command
 from lunar_fg.commands.map import terrain_map
 from lunar_fg.commands.match import match
 from lunar_fg.commands.mosaic import mosaic
@@ -76,6 +77,7 @@ app.command()(guarded(campaign))
 app.command()(guarded(export))
 app.command()(guarded(fixes))
 app.command()(guarded(mosaic))
+app.command(name="locate")(guarded(locate_command))
 app.command(name="map")(guarded(terrain_map))
 app.command()(guarded(report))
 app.command()(guarded(simulate))

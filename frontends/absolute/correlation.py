@@ -59,7 +59,8 @@ class MaskedCorrelator:
 
     def __init__(self, image: Layer, mask: Mask, template_shape: tuple[int, int]) -> None:
         self._shape = image.shape
-        full = [a + b - 1 for a, b in zip(image.shape, template_shape, strict=True)]
+        # shifts that keep the template within the image do not wrap around
+        full = [max(a, b) for a, b in zip(image.shape, template_shape, strict=True)]
         self._size = tuple(fft.next_fast_len(n, real=True) for n in full)
         known = mask.astype(np.float32)
         # one scale for the whole image keeps the sums of squares within single precision

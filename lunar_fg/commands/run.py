@@ -123,7 +123,7 @@ def run(
             settings = settings.model_copy(update={"map": named})
         monitor = None if route is None else watch(route, opened, settings.route)
         folder = RunFolder.create(output, settings, overwrite=overwrite)
-        RunSource.of(opened, images, traverse, calibration=calibration or ()).write(folder)
+        RunSource.of(opened, images, traverse, ortho, dem, calibration or ()).write(folder)
         if route is not None:
             folder.route_path.write_bytes(route.read_bytes())
         if faults:

@@ -14,6 +14,7 @@ from frontends.absolute import (
     make_patch,
     match_layers,
 )
+from frontends.absolute.correlation import MaskedCorrelator
 from frontends.geometry import yaw_pitch_roll
 from frontends.measurements import SunDirection
 from frontends.orbital import MapWindow, OrbitalMap
@@ -180,3 +181,17 @@ def test_proposers_are_asked_in_turn_and_named(place):
     result = locate(place, OrbitalMap.open(place[1]), proposers=proposers)
     assert [p.proposer for p in result.proposals] == ["relit relief", "SURF, relit"]
     assert all(p.peak or p.reason for p in result.proposals)
+
+
+def test_masked_correlation_is_the_coefficient_over_the_common_cells():
+    rng = np.random.default_rng(8)
+    image = rng.standard_normal((37, 41)).astype(np.float32)
+    known = rng.random((37, 41)) > 0.05
+    template = rng.standard_normal((11, 14)).astype(np.float32)
+    mask = rng.random((11, 14)) > 0.3
+    surface = MaskedCorrelator(image, known, template.shape).surface(template, mask)
+    assert surface.shape == (27, 28)
+    for i, j in ((0, 0), (26, 27), (13, 5)):
+        both = mask & known[i : i + 11, j : j + 14]
+        expected = np.corrcoef(template[both], image[i : i + 11, j : j + 14][both])[0, 1]
+        assert surface[i, j] == pytest.approx(expected, abs=2e-3)
