@@ -187,13 +187,12 @@ class RelativePositioning:
         cost, inlier = self._score(problem, best)
         random = np.random.default_rng((self.seed, count))
         wanted = float(self.config.max_hypotheses)
-        tried = 0
-        while tried < min(wanted, self.config.max_hypotheses):
-            sample = random.choice(count, size=3, replace=False)
-            tried += 1
+        for tried, sample in enumerate(_samples(random, count, self.config.max_hypotheses)):
+            if tried >= wanted:
+                break
             candidate = rigid_transform(points_a[sample], points_b[sample])
             candidate_cost, candidate_inlier = self._score(problem, candidate)
-            if candidate_cost >= cost and tried > 1:
+            if candidate_cost >= cost and tried > 0:
                 continue
             for _ in range(2):
                 if candidate_inlier.sum() < 6:
@@ -272,6 +271,18 @@ def _refuse(prediction: MotionPrediction, count: int, reason: str) -> RelativePo
         Verdict.REFUSED,
         reason,
     )
+
+
+def _samples(random: np.random.Generator, count: int, draws: int) -> NDArray[np.int64]:
+    """Triples of different numbers below `count`, all equally likely, (draws, 3).
+
+    Each is drawn from what the ones before it leave, so that none has to be drawn again.
+    """
+    first, second, third = random.integers(0, [count, count - 1, count - 2], (draws, 3)).T
+    second = second + (second >= first)
+    third = third + (third >= np.minimum(first, second))
+    third = third + (third >= np.maximum(first, second))
+    return np.stack([first, second, third], axis=-1)
 
 
 def predicted_points(prediction: MotionPrediction, points_a: FloatArray) -> FloatArray:

@@ -14,6 +14,7 @@ from frontends.relative import (
     MotionPrediction,
     RelativeConfig,
     RelativePositioning,
+    _samples,
     predicted_points,
     rigid_transform,
 )
@@ -386,3 +387,12 @@ def test_further_unknowns_are_derivatives_too():
 
     numeric = [(cost(step * e) - cost(-step * e)) / (2 * step) for e in np.eye(2)]
     np.testing.assert_allclose(gradient[6:], -np.array(numeric), rtol=1e-3)
+
+
+def test_samples_are_three_different_landmarks_all_equally_likely():
+    triples, counts = np.unique(
+        _samples(np.random.default_rng(0), 5, 60_000), axis=0, return_counts=True
+    )
+    assert len(triples) == 5 * 4 * 3
+    assert all(len(set(triple)) == 3 for triple in triples.tolist())
+    assert np.abs(counts - 1000).max() < 5 * np.sqrt(1000)
