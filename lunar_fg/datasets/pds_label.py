@@ -19,6 +19,9 @@ from typing import Any, cast
 import numpy as np
 import pvl
 from numpy.typing import NDArray
+from pvl.decoder import OmniDecoder
+from pvl.grammar import OmniGrammar
+from pvl.parser import PVLParser
 from scipy.spatial.transform import Rotation
 
 from frontends.cahv import CahvCamera
@@ -211,7 +214,7 @@ def _pvl(path: Path, head: bytes) -> Mapping[str, object]:
         )
     text = head[: end.end()].decode("latin-1")
     try:
-        found = pvl.loads(text)
+        found = pvl.loads(text, parser=_strict_parser())
     # pvl raises its own errors and, on garbage, whatever its parser runs into
     except (ValueError, TypeError, KeyError, AttributeError, IndexError, StopIteration,
             RecursionError) as error:  # fmt: skip
@@ -220,6 +223,15 @@ def _pvl(path: Path, head: bytes) -> Mapping[str, object]:
             f"is no PDS3 label: {brief}", source=path, field="label", remedy="fetch it again"
         ) from error
     return dict(found)
+
+
+def _strict_parser() -> Any:
+    """Accept what missions write; give up at the first thing that is none of it.
+
+    pvl's default parser goes on after errors, which a damaged label turns into hours.
+    """
+    grammar = OmniGrammar()
+    return PVLParser(grammar=grammar, decoder=OmniDecoder(grammar=grammar))
 
 
 def _vicar(path: Path, head: bytes) -> Mapping[str, object]:

@@ -247,3 +247,33 @@ def test_an_image_that_is_mostly_missing_costs_its_frame_only(
     assert isinstance(frames[1], UnusableFrame)
     assert "sol 12 site 3 drive 1, nl_1.img" in frames[1].reason
     assert "missing" in frames[1].reason
+
+
+def test_damaged_labels_come_to_an_end(spirit: Path, tmp_path: Path) -> None:
+    """Parsers that go on after errors took hours over some of these."""
+    data = (spirit / RAW).read_bytes()[:27_000]
+    rng = np.random.default_rng(2)
+    refused = 0
+    for _ in range(8):
+        broken = bytearray(data)
+        for place in rng.integers(0, 14_000, 6):
+            broken[place : place + 3] = rng.integers(33, 127, 5, dtype=np.uint8).tobytes()
+        (tmp_path / "a.img").write_bytes(bytes(broken))
+        refused += bool(refusal_of(read_label, tmp_path / "a.img"))
+    assert refused > 0
+
+
+def test_a_detached_label_of_msl(tmp_path: Path) -> None:
+    """MSL writes its groups as ..._PARMS and its labels into files of their own."""
+    camera = navcams()[0]
+    text = label_text(camera, "left", 77.0, pointer='("NLB_1.IMG", 1)')
+    for group in ("GEOMETRIC_CAMERA_MODEL", "ROVER_COORDINATE_SYSTEM"):
+        text = text.replace(f"= {group}\n", f"= {group}_PARMS\n")
+    (tmp_path / "NLB_1.LBL").write_text(text.replace("\n", "\r\n"))
+    pixels = render(camera, np.eye(4), texture())
+    (tmp_path / "NLB_1.IMG").write_bytes(pixels.astype(">i2").tobytes())
+    label = read_label(tmp_path / "NLB_1.LBL")
+    assert label.image.name == "NLB_1.IMG"
+    assert label.camera is not None
+    assert label.site_T_rover is not None
+    np.testing.assert_array_equal(np.nan_to_num(read_pixels(label)), pixels)
