@@ -19,6 +19,8 @@ from lunar_fg.run_folder import RunFolder
 
 #: Where the KITTI demo looks for the truth when none is named.
 DEMO_TRUTH = Path("../shared/data/kitti-gt-poses/gt/00.txt")
+#: Distance between the stereo pairs of the demo.
+STEP_M = 1.6
 
 
 def demo(
@@ -51,7 +53,9 @@ def demo(
     from lunar_fg.simulation.cache import cached_dataset
     from lunar_fg.simulation.spec import SimulationSpec
 
-    spec = adapted(SimulationSpec(), seed=seed, size=size, sun=sun, length=length, wrong_map=False)
+    spec = adapted(
+        SimulationSpec(), seed=seed, size=size, sun=sun, length=length, step=STEP_M, wrong_map=False
+    )
     with RenderProgress() as progress:
         path = cached_dataset(spec, on_progress=progress.tell)
     opened = open_dataset(path)

@@ -93,7 +93,8 @@ def take_pair(
         focal = stereo_camera(spec).fy
         nod = np.arctan(spec.vertical_misalignment_px / focal)
         map_T_right = map_T_right @ pose(so3_exp([nod, 0.0, 0.0]), np.zeros(3))
-    views = [_radiance(scene, eye, spec, sun) for eye in (map_T_camera, map_T_right)]
+    rays = _unit_rays(spec, spec.supersampling)
+    views = [_radiance(scene, eye, rays, spec, sun) for eye in (map_T_camera, map_T_right)]
     gain = _exposure(views[0], spec)
     left, right = (_expose(view, gain, spec, rng) for view in views)
     return StereoPicture(left, right, _depth(scene, map_T_camera, spec) if depth else None)
@@ -117,26 +118,28 @@ def pixel_rays(spec: CameraSpec, oversampling: int) -> FloatArray:
     return np.stack([x, y, np.ones_like(x)], axis=2)
 
 
-def _rays(
-    scene: Scene, map_T_camera: FloatArray, spec: CameraSpec, oversampling: int
-) -> tuple[Float32, Float32, FloatArray]:
-    """Origins, unit directions (map axes) and their camera-frame z, for all samples."""
+def _unit_rays(spec: CameraSpec, oversampling: int) -> Float32:
+    """`pixel_rays` of unit length, (N, 3)."""
     rays = pixel_rays(spec, oversampling).reshape(-1, 3)
-    length = np.linalg.norm(rays, axis=1)
-    directions = (rays / length[:, None]) @ map_T_camera[:3, :3].T
-    origins = np.empty(directions.shape, dtype=np.float32)
+    length = np.sqrt(np.einsum("ni,ni->n", rays, rays))
+    return np.asarray(rays / length[:, None], dtype=np.float32)
+
+
+def _aimed(scene: Scene, map_T_camera: FloatArray, rays: Float32) -> tuple[Float32, Float32]:
+    """Origins and directions of camera-frame rays, in the scene's axes."""
+    origins = np.empty(rays.shape, dtype=np.float32)
     origins[:] = map_T_camera[:3, 3] - scene.middle
-    return origins, directions.astype(np.float32), 1.0 / length
+    return origins, rays @ map_T_camera[:3, :3].T.astype(np.float32)
 
 
 def _radiance(
-    scene: Scene, map_T_camera: FloatArray, spec: CameraSpec, sun: SunDirection
+    scene: Scene, map_T_camera: FloatArray, rays: Float32, spec: CameraSpec, sun: SunDirection
 ) -> Float32:
     """Radiance factor in each pixel, blurred by the optics, (height, width)."""
     k = spec.supersampling
-    origins, directions, _ = _rays(scene, map_T_camera, spec, k)
+    origins, directions = _aimed(scene, map_T_camera, rays)
     hits = scene.trace(origins, directions)
-    samples = np.zeros(spec.height * k * spec.width * k, dtype=np.float32)
+    samples = np.zeros(len(rays), dtype=np.float32)
     ray_angle = 1.0 / (stereo_camera(spec).fx * k)
     samples[hits.ray] = scene.radiance(hits, origins, directions, ray_angle, sun, spec.fill_light)
     picture: Float32 = samples.reshape(spec.height * k, spec.width * k)
@@ -147,10 +150,10 @@ def _radiance(
 
 
 def _depth(scene: Scene, map_T_camera: FloatArray, spec: CameraSpec) -> Float32:
-    origins, directions, z = _rays(scene, map_T_camera, spec, 1)
-    hits = scene.trace(origins, directions)
-    depth = np.full(spec.height * spec.width, np.nan, dtype=np.float32)
-    depth[hits.ray] = hits.distance * z[hits.ray]
+    rays = _unit_rays(spec, 1)
+    hits = scene.trace(*_aimed(scene, map_T_camera, rays))
+    depth = np.full(len(rays), np.nan, dtype=np.float32)
+    depth[hits.ray] = hits.distance * rays[hits.ray, 2]
     return depth.reshape(spec.height, spec.width)
 
 

@@ -112,7 +112,7 @@ class Scene:
         found = self._embree.run(origins, directions, output=True)
         ray = np.nonzero(found["primID"] >= 0)[0]
         facet = np.asarray(found["Ng"][ray], dtype=np.float32)
-        facet /= np.maximum(np.linalg.norm(facet, axis=1), 1e-30)[:, None]
+        facet = _unit(facet)
         towards = np.einsum("ni,ni->n", facet, directions[ray])
         facet = np.where(towards[:, None] > 0.0, -facet, facet)
         return Hits(
@@ -209,10 +209,16 @@ class Scene:
             # the texture is laid on a stone along its height as well
             x[stones] += point[stones, 2]
             y[stones] -= np.float32(0.7) * point[stones, 2]
-        normal /= np.linalg.norm(normal, axis=1)[:, None]
+        normal = _unit(normal)
         fine = self._fine.sample(x, y, footprint)
         normal[:, :2] -= fine[:, :2] * np.maximum(normal[:, 2:], 0.3)
-        normal /= np.linalg.norm(normal, axis=1)[:, None]
+        normal = _unit(normal)
         light = fine[:, 3].copy()
         light[stones] = 1.0
         return normal, albedo * np.exp(fine[:, 2]), light
+
+
+def _unit(vectors: Float32) -> Float32:
+    # several times as fast as numpy's norm along the short axis
+    length = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
+    return np.asarray(vectors / np.maximum(length, np.float32(1e-30))[:, None])

@@ -20,7 +20,7 @@ def test_the_demo_drives_reports_and_keeps_its_pictures(
     arguments = ["demo", "--size", "256", "--length", "12", "--seed", "2", "-o", str(out)]
     first = CliRunner().invoke(app, arguments)
     assert first.exit_code == 0, first.output
-    assert "9 stereo pairs, 0 lost" in first.stdout
+    assert "8 stereo pairs, 0 lost" in first.stdout
     last = first.stdout.strip().splitlines()[-3:]
     wheels, vision = (
         float(re.search(r"([\d.]+) %", line).group(1))  # type: ignore[union-attr]
