@@ -54,9 +54,11 @@ def map_grey(path: Path, georeference: Georeference, low: FloatArray, high: Floa
 
 
 def read_window(
-    path: Path, low: FloatArray, high: FloatArray, longest_px: int
+    path: Path, low: FloatArray, high: FloatArray, longest_px: int, *, whole: bool = False
 ) -> tuple[FloatArray, tuple[float, float, float, float]]:
     """Values of a map between two corners of its plane, NaN without data; and their bounds.
+
+    With `whole`, what lies beyond the map's edge is there too, as NaN.
 
     Raises
     ------
@@ -72,9 +74,10 @@ def read_window(
                 window = box.intersection(Window(0, 0, raster.width, raster.height))
             except rasterio.errors.WindowError as error:
                 raise InputError("does not reach the drive", source=path) from error
+            window = box if whole else window
             shrink = min(1.0, longest_px / max(window.width, window.height, 1))
             shape = max(1, round(window.height * shrink)), max(1, round(window.width * shrink))
-            values = raster.read(1, window=window, out_shape=shape, masked=True)
+            values = raster.read(1, window=window, out_shape=shape, masked=True, boundless=whole)
             bounds = raster.window_bounds(window)
     except rasterio.errors.RasterioError as error:
         raise InputError(f"cannot be read ({error})", source=path) from error

@@ -57,10 +57,16 @@ def fix_rows(results: RunResults) -> list[FixRow]:
     return [_row(results, entry, number < _MOST) for number, entry in enumerate(entries)]
 
 
-def without_fixes(results: RunResults) -> Trajectory | None:
-    """Trajectory from the same log, as it would be without the fixes that were believed."""
+def without_fixes(results: RunResults) -> tuple[Trajectory | None, str]:
+    """Trajectory from the same log, as it would be without the fixes that were believed.
+
+    Returns
+    -------
+    tuple
+        The trajectory, or None and the reason ("" where no fix was believed).
+    """
     if not any(entry.ruling.verdict is Verdict.ACCEPTED for entry in results.ledger):
-        return None
+        return None, ""
     try:
         with TraverseLog.open(results.folder.database_path) as log:
             header, keyframes = log.header(), log.keyframes()
@@ -69,9 +75,9 @@ def without_fixes(results: RunResults) -> Trajectory | None:
         )
         list(feed(smoother, keyframes, []))
         smoother.finish()
-    except LunarFgError:
-        return None
-    return as_trajectory(smoother.trajectory())
+    except LunarFgError as error:
+        return None, f"without fixes: not computed: {error}"
+    return as_trajectory(smoother.trajectory()), ""
 
 
 def _row(results: RunResults, entry: LedgerEntry, pictured: bool) -> FixRow:

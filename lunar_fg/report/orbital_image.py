@@ -76,7 +76,7 @@ def thumbnail(
     if georeference is not None:
         corners = georeference.to_plane(corners)
     try:
-        found = read_window(path, corners[0], corners[1], _THUMBNAIL_PX)
+        found = read_window(path, corners[0], corners[1], _THUMBNAIL_PX, whole=True)
     except InputError:
         return ""
     return _jpeg(found[0], _THUMBNAIL_PX)

@@ -84,7 +84,9 @@ def write_report(folders: Sequence[RunFolder], path: Path) -> None:
         raise InputError("needs at least one run", source="report")
     runs = [read_results(folder) for folder in folders]
     fixless = [without_fixes(results) for results in runs]
-    compared = [against_truth(*pair) for pair in zip(runs, fixless, strict=True)]
+    compared = [
+        against_truth(results, track) for results, (track, _) in zip(runs, fixless, strict=True)
+    ]
     names = _distinct(runs)
     sections = [
         _section(f"run{number}", *run)
@@ -112,7 +114,7 @@ def _section(
     name: str,
     results: RunResults,
     compared: AgainstTruth | None,
-    fixless: Trajectory | None,
+    fixless: tuple[Trajectory | None, str],
 ) -> RunSection:
     picture, notes = map_picture(results, _everything(results, compared))
     return RunSection(
@@ -121,8 +123,8 @@ def _section(
         folder=str(results.folder.path),
         cards=cards(results, compared),
         sentences=sentences(results, compared),
-        remarks=[*remarks(results), *notes, *_missing(results)],
-        figures=list(_figures(key, results, compared, picture, fixless)),
+        remarks=[*remarks(results), *notes, *filter(None, fixless[1:]), *_missing(results)],
+        figures=list(_figures(key, results, compared, picture, fixless[0])),
         fixes=fix_rows(results),
         timing=_timing(results),
         config=yaml.safe_dump(results.config, sort_keys=False, allow_unicode=True),

@@ -19,7 +19,10 @@ from rasterio.transform import from_origin
 from typer.testing import CliRunner, Result
 
 from lunar_fg.cli import app
+from lunar_fg.datasets.base import MapReference
+from lunar_fg.georeference import Georeference
 from lunar_fg.report import write_report
+from lunar_fg.report.orbital_image import thumbnail
 from lunar_fg.report.words import spans
 from lunar_fg.run_folder import RunFolder
 
@@ -88,6 +91,19 @@ def test_fixes_are_told_with_their_reasons_and_their_ground(page_file: Path) -> 
     names = [trace.get("name") for trace in figure_data(text, "run0-map")["data"]]
     assert "fix accepted" in names
     assert "fix refused" in names
+
+
+def test_a_thumbnail_at_the_maps_edge_keeps_its_scale(tmp_path: Path) -> None:
+    georeference = Georeference.of(MapReference("IAU_2015:30135", (12_000.0, -8_000.0, 0.0)))
+    ortho = write_ortho(tmp_path / "ortho.tif")
+    # 10 m east of the map's western edge, so that of 24 m the first 2 lie beyond it.
+    uri = thumbnail(ortho, georeference, np.array([-15.0, 20.0]), 24.0)
+    code = base64.b64decode(uri.removeprefix("data:image/jpeg;base64,"))
+    pixels = cv2.imdecode(np.frombuffer(code, np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert pixels.shape[0] == pixels.shape[1]
+    beyond = round(pixels.shape[1] * 2.0 / 24.0)
+    assert np.abs(pixels[:, : beyond - 8].astype(float) - 200.0).max() < 12.0
+    assert pixels[:, beyond + 3 :].std() > 20.0
 
 
 def test_names_are_escaped(page_file: Path) -> None:
