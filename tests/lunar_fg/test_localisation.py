@@ -1,0 +1,130 @@
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from frontends.absolute import AbsoluteConfig
+from frontends.camera import StereoCamera, level_rover_T_camera
+from frontends.errors import InputError
+from frontends.geometry import yaw_pitch_roll
+from frontends.measurements import StartPrior, StereoFrame
+from frontends.orbital import OrbitalMap
+from frontends.rectification import RectificationError
+from lunar_fg.graph.planar import Planar
+from lunar_fg.localisation import Localisation, LocalisationConfig, describe
+from lunar_fg.orbital_files import MapConfig, open_orbital, place
+from tests.frontends.absolute.relief import drive, heightfield, moved, see, write_dem, write_map
+
+CAMERA = StereoCamera(64, 48, 60.0, 60.0, 31.5, 23.5, 0.2)
+
+
+class Smoother:
+    """Knows estimated poses; believes every fix unless told otherwise."""
+
+    def __init__(self, poses, sigma_m=0.5, accepts=True):
+        self.poses, self.sigma_m, self.accepts, self.fixes = poses, sigma_m, accepts, []
+
+    def predicted(self, frame):
+        pose = self.poses[frame]
+        mean = np.array([*pose[:2, 3], yaw_pitch_roll(pose)[0]])
+        planar = Planar(mean, np.diag([self.sigma_m**2] * 2 + [0.01**2]))
+        return SimpleNamespace(map_T_rover=pose, planar=lambda: planar)
+
+    def add_fix(self, fix):
+        self.fixes.append(fix)
+        return SimpleNamespace(accepted=self.accepts and bool(fix.candidates))
+
+
+class Ground:
+    """Stands for dense stereo: gives what a heightfield shows at the true pose."""
+
+    def __init__(self, z, poses):
+        self.terrain = see(z, poses)
+
+    def measure(self, frame, rectification, near_m=None):
+        return self.terrain.points(frame.index)
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    z = heightfield(11)
+    folder = tmp_path_factory.mktemp("maps")
+    poses = drive(44, 1.0, (12.0, 30.0), 0.1)
+    return z, write_map(folder / "ortho.tif", z), write_dem(folder / "dem.tif", z), poses
+
+
+def follow(world, estimate, smoother, orbital=None, **config):
+    z, ortho, _, poses = world
+    localisation = Localisation(
+        CAMERA, level_rover_T_camera(), orbital or OrbitalMap.open(ortho),
+        LocalisationConfig(**config), AbsoluteConfig(),
+    )  # fmt: skip
+    localisation._dense = Ground(z, poses)
+    image = np.zeros((48, 64), dtype=np.uint8)
+    for k, pose in estimate.items():
+        frame = StereoFrame(k, float(k), image, image, CAMERA)
+        if localisation.observe(frame, None, RectificationError(), pose):
+            localisation.fix(smoother)
+    return localisation
+
+
+def test_fixes_come_with_new_ground_and_hit_the_truth(world):
+    poses = world[3]
+    estimate = moved(poses, 1.2, -0.9, 0.01, 0)
+    smoother = Smoother(estimate)
+    localisation = follow(world, estimate, smoother)
+    found = [fix for fix in smoother.fixes if fix.candidates]
+    assert len(found) == 2  # 43 m, a fix every 20 m
+    for fix in found:
+        true, best = poses[fix.frame], fix.candidates[0]
+        assert math.hypot(best.x_m - true[0, 3], best.y_m - true[1, 3]) < 0.15
+    assert "fix by relit relief" in describe(localisation.attempts[0])
+    # no keyframe's ground serves two fixes
+    assert abs(found[0].frame - found[1].frame) >= 19
+
+
+def test_an_uncertain_rover_tries_earlier(world):
+    estimate = world[3]
+    unsure = Smoother(estimate, sigma_m=2.5)
+    follow(world, dict(list(estimate.items())[:20]), unsure)
+    calm = Smoother(estimate, sigma_m=0.3)
+    follow(world, dict(list(estimate.items())[:20]), calm)
+    assert unsure.fixes
+    assert not calm.fixes
+
+
+def test_a_refused_attempt_is_repeated_with_more_ground(world):
+    estimate = world[3]
+    smoother = Smoother(estimate, accepts=False)
+    localisation = follow(world, estimate, smoother)
+    frames = [fix.frame for fix in smoother.fixes]
+    assert len(frames) >= 3
+    assert len(set(frames)) == len(frames)  # the ledger takes each keyframe once
+    areas = [attempt.patch.area_m2 for attempt in localisation.attempts]
+    assert areas[1] > areas[0]
+
+
+def test_a_map_that_does_not_fit_is_said_and_costs_nothing(world, tmp_path):
+    dataset = SimpleNamespace(
+        map_reference=None, start=StartPrior(np.eye(4)), orbital=None, path=tmp_path
+    )
+    dataset.start.map_T_rover[:2, 3] = [5000.0, 0.0]
+    with pytest.raises(InputError, match="does not hold the rover's start"):
+        place(world[1], None, None, dataset)
+    assert open_orbital(dataset, MapConfig()) is None
+    dataset.orbital = SimpleNamespace(ortho=world[1], dem=None, sun=None)
+    assert open_orbital(dataset, MapConfig()) is None  # a warning, the run goes on
+    dataset.start.map_T_rover[:2, 3] = [12.0, 30.0]
+    assert open_orbital(dataset, MapConfig()).sun.azimuth_deg == 285.0
+    assert open_orbital(dataset, MapConfig(use=False)) is None
+
+
+def test_an_unstated_sun_is_estimated_where_there_is_an_elevation_model(world, tmp_path, caplog):
+    ortho = write_map(tmp_path / "o.tif", world[0], tags=False)
+    dataset = SimpleNamespace(map_reference=None, start=StartPrior(np.eye(4)), orbital=None)
+    dataset.start.map_T_rover[:2, 3] = [40.0, 40.0]
+    found = place(ortho, world[2], None, dataset)
+    assert abs(math.remainder(found.sun.azimuth_deg - 285.0, 360.0)) < 10.0
+    assert "not stated" in caplog.text
+    assert place(ortho, None, None, dataset).sun is None
