@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
@@ -14,12 +15,20 @@ from numpy.typing import NDArray
 from frontends.absolute import AbsoluteAdjustment, AbsoluteConfig, Adjustment, Search, make_patch
 from frontends.camera import StereoCamera
 from frontends.errors import EstimationError
-from frontends.measurements import FixCandidate, StereoFrame, StereoObservations, UnusableFrame
+from frontends.measurements import (
+    AbsoluteFix,
+    FixCandidate,
+    StereoFrame,
+    StereoObservations,
+    UnusableFrame,
+    Verdict,
+)
 from frontends.orbital import OrbitalMap
 from frontends.rectification import RectificationError
 from frontends.terrain import DenseStereo, DenseStereoConfig, TerrainMap
 from lunar_fg.graph.incremental import IncrementalSmoother
-from lunar_fg.graph.ledger import FixDecision
+from lunar_fg.graph.ledger import FixDecision, LedgerEntry
+from lunar_fg.log_entries import LoggedFrame
 
 logger = logging.getLogger("lunar_fg.localisation")
 
@@ -107,8 +116,23 @@ class Localisation:
         observations: StereoObservations | None,
         rectification: RectificationError,
         map_T_rover: FloatArray,
+        *,
+        measure: bool = True,
     ) -> bool:
         """Measure the ground of a frame, where the rover has come far enough since the last.
+
+        Parameters
+        ----------
+        frame
+            The pair.
+        observations
+            Its landmarks: how near the ground begins.
+        rectification
+            What rectification left over.
+        map_T_rover
+            Pose as estimated.
+        measure
+            False: only count the way.
 
         Returns
         -------
@@ -123,12 +147,56 @@ class Localisation:
         self._last = map_T_rover
         if isinstance(frame, UnusableFrame):
             return False
+        self._stations.append(_Station(frame.index, self._driven_m))
+        if not measure:
+            return True
         near = None
         if observations is not None and len(observations) > 20:
             near = 0.8 * float(np.percentile(observations.points_cam[:, 2], 2.0))
         self.terrain.add(self._dense.measure(frame, rectification, near))
-        self._stations.append(_Station(frame.index, self._driven_m))
         return True
+
+    def restore(
+        self,
+        frames: Iterable[StereoFrame | UnusableFrame],
+        logged: Mapping[int, LoggedFrame],
+        ledger: Iterable[LedgerEntry],
+        rectification: RectificationError,
+    ) -> None:
+        """Stand as after these frames of an interrupted run: measure again what is still open.
+
+        Parameters
+        ----------
+        frames
+            Of the dataset, up to where the log ends or further.
+        logged
+            What the log has of each, by frame.
+        ledger
+            Of the run.
+        rectification
+            As it stands.
+        """
+        came: dict[int, list[LedgerEntry]] = {}
+        for entry in ledger:
+            if isinstance(entry.measurement, AbsoluteFix):
+                came.setdefault(entry.history[0].at_frame, []).append(entry)
+        settled = max(
+            (at for at, of in came.items() if of[0].history[0].verdict is Verdict.ACCEPTED),
+            default=-1,
+        )
+        for frame in frames:
+            if frame.index not in logged:
+                break
+            past = logged[frame.index]
+            # ground that a believed fix has used is not needed again
+            used = frame.index <= settled and not isinstance(frame, UnusableFrame)
+            self.observe(
+                frame, past.keyframe.observations, rectification,
+                past.estimate.map_T_rover, measure=not used,
+            )  # fmt: skip
+            for entry in came.get(frame.index, ()):
+                self._tried.add(entry.frame)
+                self.settle(entry.history[0].verdict is Verdict.ACCEPTED)
 
     def correct(self, rectification: RectificationError) -> None:
         """Remove a disparity error that was found after the ground was measured."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -121,11 +122,17 @@ class Navigator:
         self.frames_lost += estimate.lost
         return estimate
 
-    def resume(self) -> None:
+    def resume(self, frames: Iterable[StereoFrame | UnusableFrame] = ()) -> None:
         """Go on where the log ends: what follows is as if there had been no interruption.
 
         The graph is built anew from the logged measurements, the images' side set to the
-        logged checkpoint; no image is needed.
+        logged checkpoint.
+
+        Parameters
+        ----------
+        frames
+            The dataset's, from its beginning: with an orbital map, ground that is not in a
+            fix yet is measured again. Not read without a map.
 
         Raises
         ------
@@ -133,12 +140,12 @@ class Navigator:
             The log lacks what is needed, or cannot be read.
         """
         assert self._log is not None
-        frames, newest = self._log.frames(), self._log.checkpoint()
-        if not frames:
+        logged, newest = self._log.frames(), self._log.checkpoint()
+        if not logged:
             return
-        keyframes = [frame.keyframe for frame in frames]
-        records = [frame.record for frame in frames if frame.record is not None]
-        if newest is None or newest[0] != keyframes[-1].index or len(records) < len(frames):
+        keyframes = [frame.keyframe for frame in logged]
+        records = [frame.record for frame in logged if frame.record is not None]
+        if newest is None or newest[0] != keyframes[-1].index or len(records) < len(logged):
             raise InputError(
                 "holds measurements only: the images' side cannot go on from it",
                 source="log",
@@ -149,13 +156,20 @@ class Navigator:
         self._frontend.restore(checkpoint, list(zip(keyframes, records, strict=True)))
         self._corrected = checkpoint.corrected
         self._order.accept(keyframes[-1])
-        self.frames_before = len(frames)
-        self.frames_lost = sum(frame.estimate.lost for frame in frames)
+        self.frames_before = len(logged)
+        self.frames_lost = sum(frame.estimate.lost for frame in logged)
         if not checkpoint.watching:
             self._calibration.concluded(checkpoint.finding)
         elif [k for k in keyframes if self._calibration.watch(k)]:
             last = self._recalibrate()
             self.frames_lost += last.lost
+        if self.localisation is not None:
+            self.localisation.restore(
+                frames,
+                {frame.keyframe.index: frame for frame in logged},
+                self._smoother.ledger,
+                self._frontend.perception.rectification,
+            )
 
     def finish(self) -> None:
         """Smooth what is still open; call it after the last frame."""

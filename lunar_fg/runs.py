@@ -306,7 +306,8 @@ def _navigator_of(log: TraverseLog, dataset: Dataset) -> Navigator:
         header.camera, config, header.rover_T_camera, header.start, log,
         orbital=open_orbital(dataset, config.map),
     )  # fmt: skip
-    navigator.resume()
+    sitting = log.sittings()[-1]
+    navigator.resume(_shifted(dataset.frames(), sitting))
     return navigator
 
 

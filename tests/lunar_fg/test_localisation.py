@@ -8,9 +8,10 @@ from frontends.absolute import AbsoluteConfig
 from frontends.camera import StereoCamera, level_rover_T_camera
 from frontends.errors import InputError
 from frontends.geometry import yaw_pitch_roll
-from frontends.measurements import StartPrior, StereoFrame
+from frontends.measurements import StartPrior, StereoFrame, Verdict
 from frontends.orbital import OrbitalMap
 from frontends.rectification import RectificationError
+from lunar_fg.graph.ledger import LedgerEntry, Ruling
 from lunar_fg.graph.planar import Planar
 from lunar_fg.localisation import Localisation, LocalisationConfig, describe
 from lunar_fg.orbital_files import MapConfig, open_orbital, place
@@ -128,3 +129,32 @@ def test_an_unstated_sun_is_estimated_where_there_is_an_elevation_model(world, t
     assert abs(math.remainder(found.sun.azimuth_deg - 285.0, 360.0)) < 10.0
     assert "not stated" in caplog.text
     assert place(ortho, None, None, dataset).sun is None
+
+
+def test_an_interrupted_run_goes_on_with_the_same_ground(world):
+    estimate = world[3]
+    smoother = Smoother(estimate)
+    first = {k: estimate[k] for k in range(28)}
+    whole = follow(world, first, smoother)
+    entries, tried = [], iter(smoother.fixes)
+    for fix in tried:
+        verdict = Verdict.ACCEPTED if fix.candidates else Verdict.REFUSED
+        at = next(a for a in sorted(first) if a >= 20)
+        entries.append(LedgerEntry(0, fix, (Ruling(at, verdict, 0, 1.0, "", 0),)))
+    assert len(entries) == 1
+    image = np.zeros((48, 64), dtype=np.uint8)
+    frames = [StereoFrame(k, float(k), image, image, CAMERA) for k in estimate]
+    logged = {
+        k: SimpleNamespace(
+            keyframe=SimpleNamespace(observations=None),
+            estimate=SimpleNamespace(map_T_rover=pose),
+        )
+        for k, pose in first.items()
+    }
+    again = Localisation(CAMERA, level_rover_T_camera(), whole.adjustment.orbital)
+    again._dense = Ground(world[0], world[3])
+    again.restore(frames, logged, entries, RectificationError())
+    for name in ("_stations", "_driven_m", "_next_try_m", "_tried"):
+        assert getattr(again, name) == getattr(whole, name), name
+    assert set(again.terrain.frames) >= {s.frame for s in whole._stations}
+    assert not set(again.terrain.frames) & set(range(20))  # what a fix has used is not read
