@@ -318,7 +318,10 @@ def write(rows: list[Trial], drives: list[dict[str, object]], out: Path) -> None
         "wrong map": summary(wrong),
         "featureless": summary(blank),
         "runs": drives,
-        "trials": [asdict(t) for t in rows],
+        "trials": [
+            {k: round(v, 4) if isinstance(v, float) else v for k, v in asdict(t).items()}
+            for t in rows
+        ],
     }
     text = json.dumps(content, indent=1).replace("NaN", "null")
     (out / "absolute.json").write_text(text + "\n", encoding="utf-8")

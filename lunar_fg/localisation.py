@@ -210,9 +210,12 @@ class Localisation:
         )
         self._last = None
 
-    def fix(self, smoother: IncrementalSmoother) -> FixDecision | None:
-        """Try a fix if there is ground enough, and let the graph judge it."""
-        result = self.attempt(smoother)
+    def fix(self, smoother: IncrementalSmoother, *, last: bool = False) -> FixDecision | None:
+        """Try a fix if there is ground enough, and let the graph judge it.
+
+        `last`: nothing more will be seen; half as much ground will do.
+        """
+        result = self.attempt(smoother, last=last)
         if result is None:
             return None
         logger.info(describe(result))
@@ -220,12 +223,12 @@ class Localisation:
         self.settle(decision.accepted)
         return decision
 
-    def attempt(self, smoother: IncrementalSmoother) -> Adjustment | None:
+    def attempt(self, smoother: IncrementalSmoother, *, last: bool = False) -> Adjustment | None:
         """Look for the ground in the map if there is enough of it; None when there is not.
 
         The result is in `attempts` too; tell `settle` what the graph made of it.
         """
-        anchor = self._due(smoother)
+        anchor = self._due(smoother, last)
         if anchor is None:
             return None
         try:
@@ -251,9 +254,10 @@ class Localisation:
         oldest = self._driven_m - 1.5 * length
         self._stations = [s for s in self._stations if s.driven_m >= oldest]
 
-    def _due(self, smoother: IncrementalSmoother) -> int | None:
+    def _due(self, smoother: IncrementalSmoother, last: bool) -> int | None:
         """The anchor of the next attempt: the keyframe in the middle of the ground."""
-        if len(self._stations) < 3 or self._driven_m < self._next_try_m:
+        early = not last and self._driven_m < self._next_try_m
+        if len(self._stations) < 3 or early:
             return None
         length = self.adjustment.length_m
         driven = self._stations[-1].driven_m - self._stations[0].driven_m
@@ -264,7 +268,7 @@ class Localisation:
         if not free:
             return None
         anchor = min(free, key=lambda s: abs(s.driven_m - middle)).frame
-        if driven >= length:
+        if driven >= length or last:
             return anchor
         planar = smoother.predicted(self._stations[-1].frame).planar()
         sigma = math.sqrt(float(np.linalg.eigvalsh(planar.covariance[:2, :2])[-1]))

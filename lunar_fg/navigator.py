@@ -176,6 +176,10 @@ class Navigator:
         if self._calibration.conclude():
             last = self._recalibrate()
             self.frames_lost += last.lost
+        if self.localisation is not None:
+            decision = self.localisation.fix(self._smoother, last=True)
+            if decision is not None and self._log is not None:
+                self._log.append_decisions([decision])
         self._smoother.finish()
 
     def trajectory(self) -> Trajectory:

@@ -35,8 +35,8 @@ class AbsoluteConfig:
     length_cells, least_length_m, most_length_m
         Length of the drive whose ground makes a patch: so many cells of the map, within
         these limits.
-    least_area_share
-        Known ground that a patch needs, as a share of a square of that length.
+    least_cells
+        Cells of known ground that a patch needs.
     false_alarm
         Probability that chance parts best and second place as far as they are, below
         which a place is believed.
@@ -54,10 +54,10 @@ class AbsoluteConfig:
 
     length_cells: Annotated[float, Gt(0)] = 80.0
     least_length_m: Annotated[float, Gt(0)] = 20.0
-    most_length_m: Annotated[float, Gt(0)] = 40.0
-    least_area_share: Annotated[float, Gt(0), Lt(1)] = 0.2
+    most_length_m: Annotated[float, Gt(0)] = 80.0
+    least_cells: Annotated[int, Ge(1)] = 800
     false_alarm: Annotated[float, Gt(0), Lt(1)] = 1e-5
-    inflation: Annotated[float, Gt(0)] = 1.5
+    inflation: Annotated[float, Gt(0)] = 1.8
     floor_cells: Annotated[float, Ge(0)] = 0.1
     dem_sigma_m: Annotated[float, Gt(0)] = 0.3
     candidates: Annotated[int, Ge(1)] = 3
@@ -148,9 +148,9 @@ class AbsoluteAdjustment:
     def _unfit(self, patch: ReliefPatch | None) -> str:
         if patch is None:
             return "too small: no ground was seen"
-        needed = self.config.least_area_share * self.length_m**2
-        if patch.area_m2 < needed:
-            return f"too small: {patch.area_m2:.0f} m^2 of ground seen, {needed:.0f} are needed"
+        cells, needed = int(np.count_nonzero(patch.mask)), self.config.least_cells
+        if cells < needed:
+            return f"too small: {cells} cells of the map were seen, {needed} are needed"
         if patch.relief_m < 2.0 * patch.sigma_m:
             return (
                 f"too flat: {100 * patch.relief_m:.1f} cm of relief, heights are known to "

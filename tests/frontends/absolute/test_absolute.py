@@ -89,7 +89,7 @@ def test_another_place_and_featureless_ground_are_refused(place):
 
 def test_what_cannot_be_located_says_why(place, tmp_path):
     orbital = OrbitalMap.open(place[1])
-    assert "too small" in locate(place, orbital, frames=(9, 10)).fix.reason
+    assert "too small" in locate(place, orbital, frames=(10,)).fix.reason
     flat = see(heightfield(3, 1e-5), place[5])
     patch = make_patch(flat, place[5], ANCHOR, 0.25)
     assert "too flat" in AbsoluteAdjustment(orbital).locate(patch, ANCHOR, WINDOW).fix.reason
