@@ -32,7 +32,8 @@ _TEXTS = {
         "False fixes",
         "Motions of 2 m, a fix of 1 m and 0.02 rad every 10, 100 or 500 m (400 m, 2 km, 10 km), "
         "false ones up to 50 m off. A run has failed when its error is above three times that of "
-        "the oracle, which is given the true fixes alone.",
+        "the oracle, which is given the true fixes alone. Shares, not percent; the settings that "
+        "have no row were not measured.",
     ),
     "KITTI-00": (
         "KITTI-00's stereo landmarks, fixes from the truth",
