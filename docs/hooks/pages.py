@@ -28,7 +28,8 @@ REFERENCE = {
     "frontends": (
         "measurements", "camera", "stereo", "tracking", "relative", "detector", "surf.surf",
         "matching.nearest", "matching.homography", "matching.epipolar",
-        "matching.chance", "mosaic", "disparity_check", "photometry", "errors",
+        "matching.chance", "mosaic", "disparity_check", "terrain.dense", "terrain.map",
+        "terrain.hazards", "orbital", "absolute.adjustment", "photometry", "errors",
     ),
     "lunar_fg": (
         "navigator", "config", "runs", "log", "trajectory", "trajectory_io", "datasets.base",
