@@ -28,7 +28,7 @@ from lunar_fg.graph.segment import Segment, SegmentSolution
 from lunar_fg.graph.uprights import uprights
 
 #: rad, m. Poses alone cost little, and what a fix moved by metres must come back to millimetres.
-_RELINEARIZE_THRESHOLD = 0.01
+_RELINEARIZE_THRESHOLD = 0.005
 
 
 class SegmentGraph:
