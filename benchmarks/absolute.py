@@ -334,7 +334,8 @@ def write(rows: list[Trial], drives: list[dict[str, object]], out: Path) -> None
         f"{len({t.terrain for t in rows})} terrains, relief from dense stereo on rendered images, "
         "laid out by estimated poses.",
         "",
-        "Per cent of places *found* (best place within max(0.5 m, 1 px)) / *fixed* (believed).",
+        "Per cent of places *found* (best place within max(0.5 m, 1 px)) / *fixed* (believed). "
+        "Patches refused beforehand as too small (fewer than 800 cells) count as not found.",
         "",
         *table(rows),
         "",

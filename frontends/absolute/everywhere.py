@@ -19,6 +19,8 @@ from frontends.terrain import Grid
 #: Places of the coarse search that are looked at closely.
 _PLACES = 12
 _APART_CELLS = 6
+#: Half width of the close look: what a place stands out from must be in it too.
+_NEAR_CELLS = 24.0
 
 
 class EverywhereRelief:
@@ -54,7 +56,8 @@ class EverywhereRelief:
         found: list[Proposal] = []
         for x, y, yaw in _best_places(volume):
             moved = _laid_out(patch, x, y, yaw)
-            near = Search(4.0 * coarse.grid.cell_m, 4.0 * coarse.grid.cell_m, 1.5 * step)
+            half = _NEAR_CELLS * patch.grid.cell_m
+            near = Search(half, half, 1.5 * step)
             proposal = RelitRelief().propose(moved, orbital, near)
             if proposal.peak is not None:
                 peak = replace(
