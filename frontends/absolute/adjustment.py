@@ -210,7 +210,7 @@ class AbsoluteAdjustment:
         return self.config.inflation * math.sqrt(float(np.trace(peak.covariance[:2, :2])))
 
     def _candidate(self, patch: ReliefPatch, proposal: Proposal, peak: Peak) -> FixCandidate:
-        covariance = self.config.inflation**2 * peak.covariance
+        covariance = (self.config.inflation * proposal.inflation) ** 2 * peak.covariance
         floor = self.config.floor_cells * self.cell_m
         covariance = covariance + np.diag([floor**2, floor**2, (floor / self.length_m) ** 2])
         yaw = math.remainder(patch.yaw_rad + peak.yaw_rad, 2.0 * math.pi)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,8 @@ from frontends.orbital import MapWindow, OrbitalMap
 _LEAST_KNOWN = 0.3
 #: Share of a patch in shadow under the map's sun above which it is too dark.
 _MOST_DARK = 0.6
+#: The errors of an elevation model are as long as its relief: they shift the peak as one.
+_DEM_INFLATION = 2.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,9 +53,10 @@ class ReliefInDem:
             return Proposal(self.name, reason="no elevation model")
         window = orbital.height(window_bounds(patch, search), patch.grid.cell_m)
         assert window is not None
-        return _correlated(
+        found = _correlated(
             self.name, patch, window, search, lambda: elevation_channels(patch, window)
         )
+        return replace(found, inflation=_DEM_INFLATION)
 
 
 def _correlated(

@@ -35,6 +35,8 @@ class Proposal:
         The patch as the method compared it, at its own yaw.
     volume
         Coefficients of all places, where there are any.
+    inflation
+        Factor on the peak's 1-sigma that the method needs beside the common one.
     """
 
     proposer: str
@@ -44,6 +46,7 @@ class Proposal:
     window: MapWindow | None = None
     template: Layer | None = None
     volume: Volume | None = None
+    inflation: float = 1.0
 
 
 class Proposer(Protocol):
