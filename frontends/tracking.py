@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from enum import Enum
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -18,6 +19,14 @@ from frontends.relative import MotionPrediction, predicted_points
 from frontends.stereo import StereoFeatures
 
 FloatArray = NDArray[np.float64]
+
+
+class Reach(Enum):
+    """How far from its predicted place a landmark is looked for; in this order."""
+
+    NEAR = "near"
+    WIDE = "wide"
+    ANYWHERE = "anywhere"
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +158,10 @@ class LandmarkTracker:
         self._memory, self._next_id = memory, next_id
 
     def associate(
-        self, features: StereoFeatures, prediction: MotionPrediction, *, wide: bool = False
+        self,
+        features: StereoFeatures,
+        prediction: MotionPrediction,
+        reach: Reach = Reach.NEAR,
     ) -> Tracks:
         """Match remembered landmarks with the features of a new frame.
 
@@ -159,8 +171,8 @@ class LandmarkTracker:
             Of the new frame.
         prediction
             Expected motion since the previous frame.
-        wide
-            Search far from the predicted positions.
+        reach
+            How far from the predicted positions to search.
         """
         memory = self._memory
         if memory is None or len(memory) == 0 or len(features) == 0:
@@ -171,8 +183,7 @@ class LandmarkTracker:
                 features.observations.select(nothing),
                 nothing,
             )
-        share = self.config.wide_search_fraction if wide else self.config.search_fraction
-        half = share * self.camera.width
+        half = self._half_window_px(reach)
         points_b = predicted_points(prediction, memory.points)
         near = np.flatnonzero(points_b[:, 2] > 1e-3)
         u_left, _, v = self.camera.project(points_b[near]).T
@@ -261,6 +272,13 @@ class LandmarkTracker:
             points=observations.points_cam,
             covariance=observations.points_covariance,
         )
+
+    def _half_window_px(self, reach: Reach) -> float:
+        if reach is Reach.ANYWHERE:
+            return float(max(self.camera.width, self.camera.height))
+        near = reach is Reach.NEAR
+        share = self.config.search_fraction if near else self.config.wide_search_fraction
+        return share * self.camera.width
 
     def _as_tracked(
         self,

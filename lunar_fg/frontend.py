@@ -13,7 +13,7 @@ from frontends.detector import FeatureDetector
 from frontends.measurements import RelativePose, StartPrior, StereoFrame, UnusableFrame, Verdict
 from frontends.relative import MotionPrediction, RelativePositioning
 from frontends.stereo import StereoFeatures, StereoPerception
-from frontends.tracking import LandmarkTracker, Tracks
+from frontends.tracking import LandmarkTracker, Reach, Tracks
 from lunar_fg.checkpoint import Checkpoint
 from lunar_fg.config import Config
 from lunar_fg.dead_reckoning import DeadReckoning
@@ -25,6 +25,9 @@ from lunar_fg.standstill import zero_motion
 from lunar_fg.stopwatch import Stopwatch
 
 FloatArray = NDArray[np.float64]
+
+#: With more of the tracks in disagreement, the motion is looked for in a wider search, too.
+_MOST_WRONG = 0.5
 
 
 class Frontend:
@@ -186,18 +189,25 @@ class Frontend:
     def _locate(
         self, features: StereoFeatures, prediction: MotionPrediction
     ) -> tuple[Tracks, RelativePose]:
-        """Track and position; where the motion was not as predicted, search wider."""
-        searches = (False, True) if self._motion.known else (True,)
-        for wide in searches:
+        """Track and position; where most tracks disagree, search wider and keep the best.
+
+        Near the predicted places even wrong matches agree a little with the prediction; a wider
+        search leaves them no such help.
+        """
+        best: tuple[Tracks, RelativePose] | None = None
+        for reach in Reach if self._motion.known else (Reach.WIDE, Reach.ANYWHERE):
             with self._stopwatch.stage("tracking"):
-                tracks = self._tracker.associate(features, prediction, wide=wide)
+                tracks = self._tracker.associate(features, prediction, reach)
             with self._stopwatch.stage("relative pose"):
                 relative = self.positioning.estimate(
                     tracks.points_a, tracks.covariance_a, tracks.observations_b, prediction
                 )
-            if relative.accepted:
+            if best is None or len(relative.inlier_ids) > len(best[1].inlier_ids):
+                best = tracks, relative
+            if relative.accepted and relative.wrong_match_rate < _MOST_WRONG:
                 break
-        return tracks, relative
+        assert best is not None
+        return best
 
 
 def _report(features: StereoFeatures, relative: RelativePose) -> FrameReport:

@@ -11,7 +11,7 @@ from frontends.measurements import RelativePose, Verdict
 from frontends.rectification import observe
 from frontends.relative import MotionPrediction
 from frontends.stereo import StereoFeatures, StereoPerception
-from frontends.tracking import LandmarkTracker, TrackingConfig, common_landmarks
+from frontends.tracking import LandmarkTracker, Reach, TrackingConfig, common_landmarks
 
 NO_MOTION = MotionPrediction(np.eye(4), 1e-4 * np.eye(6))
 
@@ -49,8 +49,8 @@ def accept(tracks, keep=slice(None), prediction=NO_MOTION):
                         Verdict.ACCEPTED)  # fmt: skip
 
 
-def step(tracker, found, prediction=NO_MOTION, keep=slice(None), wide=False):
-    tracks = tracker.associate(found, prediction, wide=wide)
+def step(tracker, found, prediction=NO_MOTION, keep=slice(None), reach=Reach.NEAR):
+    tracks = tracker.associate(found, prediction, reach)
     return tracks, tracker.commit(found, tracks, accept(tracks, keep, prediction))
 
 
@@ -99,7 +99,7 @@ def test_skip_counts_as_a_frame_and_carries_the_points():
         for _ in range(skips):
             tracker.skip(missed)
         expected = se3_exp([0, 0, 0, 0, 0, 0.1 * skips])
-        tracks = tracker.associate(features(range(60)), NO_MOTION, wide=True)
+        tracks = tracker.associate(features(range(60)), NO_MOTION, Reach.WIDE)
         assert (len(tracks) > 0) == found_again
         if found_again:
             row = tracks.observations_b.landmark_id
@@ -135,14 +135,15 @@ def test_the_window_follows_the_prediction():
         step(tracker, features(range(100)))
         moved = features(range(100), (shift, 0.0))
         assert (len(tracker.associate(moved, NO_MOTION)) > 50) == narrow
-        assert (len(tracker.associate(moved, NO_MOTION, wide=True)) > 50) == wide
+        assert (len(tracker.associate(moved, NO_MOTION, Reach.WIDE)) > 50) == wide
+        assert len(tracker.associate(moved, NO_MOTION, Reach.ANYWHERE)) > 50
 
 
 def test_landmarks_behind_the_camera_are_not_looked_for():
     tracker = LandmarkTracker(CAMERA)
     step(tracker, features(range(100)))
     past = MotionPrediction(se3_exp([0, 0, 0, 0, 0, 1e3]), 1e-4 * np.eye(6))
-    assert len(tracker.associate(features(range(100)), past, wide=True)) == 0
+    assert len(tracker.associate(features(range(100)), past, Reach.WIDE)) == 0
 
 
 def test_memory_does_not_grow():
@@ -160,7 +161,7 @@ def test_replace_points_forgets_the_rest():
     _, newest = step(tracker, features(range(20, 60)))
     half = newest.select(np.arange(0, 40, 2))
     tracker.replace_points(replace(half, points_cam=2.0 * half.points_cam))
-    tracks = tracker.associate(features(range(60)), NO_MOTION, wide=True)
+    tracks = tracker.associate(features(range(60)), NO_MOTION, Reach.WIDE)
     assert set(tracks.observations_b.landmark_id) <= set(half.landmark_id)
     order = np.searchsorted(half.landmark_id, tracks.observations_b.landmark_id)
     sorted_rows = np.argsort(half.landmark_id)[order]

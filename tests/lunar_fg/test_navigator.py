@@ -9,7 +9,7 @@ from synthetic import CAMERA, Scene, arc, rover_T_camera, sequence
 
 from frontends.disparity_check import DisparityCheckConfig
 from frontends.errors import EstimationError, InputError, LunarFgError
-from frontends.geometry import inverse, se3_log
+from frontends.geometry import inverse, pose, se3_log, so3_exp
 from frontends.measurements import (
     Attitude,
     StartPrior,
@@ -368,3 +368,14 @@ def test_after_a_measurement_that_is_no_number_the_run_goes_on(frames, spoil):
 def test_infinite_settings_are_refused_with_the_settings(group, name):
     with pytest.raises(ValidationError, match=name):
         Config.model_validate({group: {name: float("inf")}})
+
+
+def test_a_bump_that_no_prediction_foresees_is_seen():
+    """Without attitude the rover pitches by 12 degrees from one frame to the next and back."""
+    poses = arc(14)
+    bump = pose(so3_exp([0.0, 0.21, 0.0]), [0.0, 0.0, 0.05])
+    for k in (6, 9):
+        poses[k] = poses[k] @ bump
+    navigator, estimates = navigate(sequence(poses))
+    assert not any(estimate.lost for estimate in estimates)
+    assert position_error(navigator.trajectory().map_T_rover, poses).max() < 0.05
