@@ -86,20 +86,6 @@ def rendered_channels(
     return [Channel(brightness, mask, template, 2.0), gradient(1), gradient(0)], centre
 
 
-def ortho_channels(
-    patch: ReliefPatch, window: MapWindow
-) -> tuple[list[Channel], tuple[float, float]]:
-    """The rover's image against the map's: for a like sun only."""
-    _, ortho, known, centre = padded(patch)
-    image, mask = _image(window)
-
-    def template(yaw: float) -> tuple[Layer, Mask]:
-        values, seen = turned(ortho, known, yaw, centre)
-        return high_pass(values, seen, _HIGH_PASS_CELLS), seen
-
-    return [Channel(high_pass(image, mask, _HIGH_PASS_CELLS), mask, template)], centre
-
-
 def elevation_channels(
     patch: ReliefPatch, window: MapWindow
 ) -> tuple[list[Channel], tuple[float, float]]:
