@@ -6,19 +6,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
-from frontends.measurements import Estimate
+from frontends.measurements import Estimate, Verdict
 from lunar_fg import runs
 from lunar_fg.config import Config
 from lunar_fg.datasets.base import Dataset
-from lunar_fg.evaluation import Accuracy, Metrics
-from lunar_fg.evaluation.plots import write_plots
-from lunar_fg.graph.keyframe import Keyframe
+from lunar_fg.evaluation import Accuracy
 from lunar_fg.log import TraverseLog
+from lunar_fg.replay import without_fixes
 from lunar_fg.run_folder import RunFolder
 from lunar_fg.run_source import RunSource
-from lunar_fg.trajectory import Trajectory
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,8 +25,11 @@ class DemoResult:
     ----------
     frames, frames_lost
         Stereo pairs, and those whose motion was only predicted.
-    wheels, vision, batch
-        Accuracy of wheels and attitude alone, of the run, and of the batch over its log.
+    wheels, vision, fixed, batch
+        Accuracy of wheels and attitude alone, of the run without its fixes on the map, of the
+        run, and of the batch over its log.
+    fixes_believed, fixes
+        How many fixes were believed in the end, and how many there were.
     report
         The page.
     """
@@ -39,7 +38,10 @@ class DemoResult:
     frames_lost: int
     wheels: Accuracy
     vision: Accuracy
+    fixed: Accuracy
     batch: Accuracy
+    fixes_believed: int
+    fixes: int
     report: Path
 
 
@@ -53,7 +55,7 @@ def demo(
     dataset
         A traverse with truth, wheels and attitude.
     folder
-        A new run folder; ``wheels/`` and ``batch/`` are written into it.
+        A new run folder; ``batch/`` is written into it.
     on_estimate
         Called with each frame's estimate.
     """
@@ -61,50 +63,20 @@ def demo(
 
     RunSource.of(dataset).write(folder)
     metrics = runs.run(dataset, folder, Config(), on_estimate)
-    wheels = _by_wheels(folder)
     _, batch = runs.optimize(folder)
     truth = folder.read_truth()
+    with TraverseLog.open(folder.database_path) as log:
+        ledger = log.ledger()
     page = folder.path / "report.html"
-    write_report([folder, wheels], page)
+    write_report([folder], page)
     return DemoResult(
         metrics.frames,
         metrics.frames_lost,
-        runs.compare(wheels.read_trajectory(), truth),
+        metrics.dead_reckoning or Accuracy(),
+        runs.compare(without_fixes(folder), truth),
         runs.compare(folder.read_trajectory(), truth),
         batch,
+        sum(entry.ruling.verdict is Verdict.ACCEPTED for entry in ledger),
+        len(ledger),
         page,
     )
-
-
-def _by_wheels(folder: RunFolder) -> RunFolder:
-    """Run folder of what wheels and attitude alone say, from the log of a run."""
-    with TraverseLog.open(folder.database_path) as log:
-        header, keyframes = log.header(), log.keyframes()
-    trajectory = dead_reckoning(header.start.map_T_rover, keyframes)
-    truth = folder.read_truth()
-    wheels = RunFolder.create(folder.path / "wheels", Config(), overwrite=True)
-    wheels.write_trajectory(trajectory, rover_T_camera=header.rover_T_camera)
-    if truth is not None:
-        wheels.write_truth(truth)
-    accuracy = runs.compare(trajectory, truth)
-    wheels.write_metrics(Metrics.of_run(accuracy, frames=len(keyframes), frames_lost=0))
-    write_plots(wheels.plots_path, trajectory, truth, name="wheels and attitude")
-    return wheels
-
-
-def dead_reckoning(map_T_rover: np.ndarray, keyframes: list[Keyframe]) -> Trajectory:
-    """Trajectory by the odometry alone; where there is none, the rover is taken to stand.
-
-    Parameters
-    ----------
-    map_T_rover
-        (4, 4) pose at the first keyframe.
-    keyframes
-        With the motions since the keyframes before.
-    """
-    poses = [np.asarray(map_T_rover, dtype=np.float64)]
-    for keyframe in keyframes[1:]:
-        step = np.eye(4) if keyframe.odometry is None else keyframe.odometry.a_T_b
-        poses.append(poses[-1] @ step)
-    stamps = np.array([keyframe.stamp_s for keyframe in keyframes])
-    return Trajectory(stamps, np.array(poses))

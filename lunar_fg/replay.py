@@ -18,7 +18,8 @@ from lunar_fg.motion_config import MotionConfig
 from lunar_fg.plausibility import Plausibility
 from lunar_fg.record import dead_reckoning_of
 from lunar_fg.run_folder import RunFolder
-from lunar_fg.runs import as_trajectory, compare
+from lunar_fg.runs import as_trajectory, compare, config_of
+from lunar_fg.trajectory import Trajectory
 
 
 def replay(source: RunFolder, target: RunFolder, config: Config) -> Metrics:
@@ -82,6 +83,24 @@ def replay(source: RunFolder, target: RunFolder, config: Config) -> Metrics:
     name = f"{target.path.name}, replayed"
     write_plots(target.plots_path, trajectory, truth, source.read_trajectory(), name=name)
     return metrics
+
+
+def without_fixes(source: RunFolder) -> Trajectory:
+    """Trajectory of a run as it would be without any map measurement, from its log.
+
+    Raises
+    ------
+    InputError
+        When the run has no log, or an empty one.
+    """
+    with TraverseLog.open(source.database_path) as log:
+        header, keyframes = log.header(), log.keyframes()
+    smoother = IncrementalSmoother(
+        header.camera, header.rover_T_camera, header.start, config_of(header).graph
+    )
+    list(feed(smoother, keyframes, []))
+    smoother.finish()
+    return as_trajectory(smoother.trajectory())
 
 
 def with_motion(

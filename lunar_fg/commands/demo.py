@@ -67,10 +67,23 @@ def demo(
         f"{result.frames_lost} lost; dataset in {path}",
         markup=False,
     )
-    columns = {"wheels": result.wheels, "vision": result.vision, "batch": result.batch}
-    out.print(accuracy_table(columns))
+    out.print(
+        accuracy_table(
+            {
+                "wheels": result.wheels,
+                "vision": result.vision,
+                "with fixes": result.fixed,
+                "batch": result.batch,
+            }
+        )
+    )
     out.print(_drift("by wheels", result.wheels), markup=False)
     out.print(_drift("by vision", result.vision), markup=False)
+    out.print(
+        f"{_drift('with fixes', result.fixed)}, {result.fixes_believed} of {result.fixes} fixes "
+        "on the map believed",
+        markup=False,
+    )
     out.print(f"report: {result.report}", markup=False)
 
 

@@ -8,14 +8,11 @@ import numpy as np
 
 from frontends.errors import LunarFgError
 from frontends.measurements import AbsoluteFix, Verdict
-from lunar_fg.graph.feed import feed
-from lunar_fg.graph.incremental import IncrementalSmoother
+from lunar_fg import replay
 from lunar_fg.graph.ledger import LedgerEntry
 from lunar_fg.ledger import entry_values
-from lunar_fg.log import TraverseLog
 from lunar_fg.report.orbital_image import thumbnail
 from lunar_fg.results import RunResults
-from lunar_fg.runs import as_trajectory, config_of
 from lunar_fg.trajectory import Trajectory
 
 #: Side of the ground that a thumbnail shows, m, and how many fixes have one.
@@ -68,16 +65,9 @@ def without_fixes(results: RunResults) -> tuple[Trajectory | None, str]:
     if not any(entry.ruling.verdict is Verdict.ACCEPTED for entry in results.ledger):
         return None, ""
     try:
-        with TraverseLog.open(results.folder.database_path) as log:
-            header, keyframes = log.header(), log.keyframes()
-        smoother = IncrementalSmoother(
-            header.camera, header.rover_T_camera, header.start, config_of(header).graph
-        )
-        list(feed(smoother, keyframes, []))
-        smoother.finish()
+        return replay.without_fixes(results.folder), ""
     except LunarFgError as error:
         return None, f"without fixes: not computed: {error}"
-    return as_trajectory(smoother.trajectory()), ""
 
 
 def _row(results: RunResults, entry: LedgerEntry, pictured: bool) -> FixRow:

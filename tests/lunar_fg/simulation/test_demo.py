@@ -21,18 +21,19 @@ def test_the_demo_drives_reports_and_keeps_its_pictures(
     first = CliRunner().invoke(app, arguments)
     assert first.exit_code == 0, first.output
     assert "8 stereo pairs, 0 lost" in first.stdout
-    last = first.stdout.strip().splitlines()[-3:]
-    wheels, vision = (
+    last = first.stdout.strip().splitlines()[-4:]
+    wheels, vision, fixed = (
         float(re.search(r"([\d.]+) %", line).group(1))  # type: ignore[union-attr]
-        for line in last[:2]
+        for line in last[:3]
     )
-    assert "wheels" in last[0]
-    assert "vision" in last[1]
+    for name, line in zip(("wheels", "vision", "fixes"), last, strict=False):
+        assert name in line
     # over so short a drive the start's own heading counts
     assert vision < 5.0
     assert wheels > 0.0
+    assert fixed < 5.0
     page = out / "report.html"
-    assert last[2] == f"report: {page}"
+    assert last[3] == f"report: {page}"
     assert page.stat().st_size > 10_000
     assert (out / "batch" / "trajectory.tum").is_file()
 
@@ -42,7 +43,7 @@ def test_the_demo_drives_reports_and_keeps_its_pictures(
     monkeypatch.setattr(cache, "simulate", never)
     second = CliRunner().invoke(app, arguments)
     assert second.exit_code == 0, second.output
-    assert second.stdout.strip().splitlines()[-3:] == last
+    assert second.stdout.strip().splitlines()[-4:] == last
 
 
 @pytest.mark.parametrize("arguments", [["--sun", "noon"], ["--length", "0"], ["--size", "10"]])
