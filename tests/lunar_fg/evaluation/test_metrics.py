@@ -31,6 +31,8 @@ KEYS = [
     "timing_ms",
     "matches",
     "warnings",
+    "route",
+    "dead_reckoning",
 ]
 
 
