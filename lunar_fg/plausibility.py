@@ -8,6 +8,7 @@ its last image.
 from __future__ import annotations
 
 import hashlib
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -22,6 +23,7 @@ FloatArray = NDArray[np.float64]
 
 #: A sound sensor is refused once in so many keyframes.
 _FALSE_ALARM = 1e-5
+_LARGEST_TILT_SIGMA_RAD = 1.0
 _MOTION_GATE, _TILT_GATE = (float(chi2.isf(_FALSE_ALARM, df)) for df in (6, 2))
 #: Noise is in every row: each eighth tells as well whether an image is a new one.
 _EVERY_ROW = 8
@@ -114,6 +116,7 @@ class Plausibility:
         # about x and y; vision carries it on.
         self._down: FloatArray | None = None
         self._variance = 0.0
+        self._readings = 0
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -145,7 +148,10 @@ class Plausibility:
     def tilt(self, frame: int, tilt: Tilt | None, relative: RelativePose) -> Tilt | None:
         """Return the tilt, or None from where it jumped until it comes back.
 
-        Where vision was lost in between, a new tilt cannot be compared and is believed.
+        Where vision was lost in between, a new tilt cannot be compared and is believed. The
+        error of an inclinometer is mostly a bias, which no number of readings averages out: the
+        k-th reading counts 1/k of the first, so that all together say little more than one, and
+        the later ones still hold what vision lets drift.
         """
         self._carry(relative)
         if tilt is None:
@@ -157,7 +163,9 @@ class Plausibility:
                 self._jump.note(frame)
                 return None
         self._down, self._variance = measured, tilt.sigma_rad**2
-        return tilt
+        self._readings += 1
+        sigma_rad = min(tilt.sigma_rad * math.sqrt(self._readings), _LARGEST_TILT_SIGMA_RAD)
+        return replace(tilt, sigma_rad=sigma_rad)
 
     def _carry(self, relative: RelativePose) -> None:
         if self._down is None:

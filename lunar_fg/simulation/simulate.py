@@ -225,15 +225,17 @@ def ground_height(levels: tuple[Level, ...], xy: FloatArray) -> FloatArray:
 
 
 def _write_tables(spec: SimulationSpec, world: World, folder: Path) -> None:
-    rng = np.random.default_rng([spec.seed, 4])
+    # a generator an instrument: what one draws does not change the others
+    wheels, inclinometer, prior = (np.random.default_rng([spec.seed, 4, k]) for k in range(3))
     speed = spec.path.speed_m_s
     poses = world.map_T_rover()
     distance = world.drive.distance_m[world.frames]
     dataset.write_frames(folder, distance / speed)
     dataset.write_truth(folder, distance / speed, poses, camera_mount(spec.camera))
-    dataset.write_odometry(folder, wheel_odometry(world.drive, speed, spec.sensors, rng))
-    dataset.write_attitude(folder, attitude(poses, distance, distance / speed, spec.sensors, rng))
-    start = start_prior(poses[0], spec.sensors, rng)
+    dataset.write_odometry(folder, wheel_odometry(world.drive, speed, spec.sensors, wheels))
+    measured = attitude(poses, distance, distance / speed, spec.sensors, inclinometer)
+    dataset.write_attitude(folder, measured)
+    start = start_prior(poses[0], spec.sensors, prior)
     dataset.write_traverse(folder, spec, start, world.terrain.base)
 
 

@@ -66,7 +66,7 @@ def test_an_inclinometer_that_jumps_is_left_out_until_it_comes_back():
         step = pose(Rotation.from_rotvec([0.02, -0.01, 0.05]).as_matrix(), [0.1, 0, 0])
         truth = truth @ step
         tilt = tilts(truth, 0.05 if 20 <= k < 40 else 0.0, rng)
-        believed.append(plausibility.tilt(k, tilt, seen(step)) is tilt)
+        believed.append(plausibility.tilt(k, tilt, seen(step)) is not None)
     assert believed == [not 20 <= k < 40 for k in range(60)]
     assert plausibility.warnings == (
         "frames 20 to 39: the attitude jumped and the images did not: roll and pitch left out",
@@ -103,3 +103,13 @@ def test_episodes_read_as_spans():
     for k in (3, 4, 6, 20):
         episodes.note(k)
     assert episodes.sentences() == ("frames 3 to 6: dust", "frame 20: dust")
+
+
+def test_readings_with_one_bias_do_not_average_out():
+    plausibility = Plausibility(MOUNT)
+    sigma = [plausibility.tilt(k, Tilt(0.0, 0.0, 0.003), seen(STEP)).sigma_rad for k in range(1000)]
+    assert sigma[0] == 0.003
+    together = 1.0 / np.sqrt(np.sum(1.0 / np.square(sigma)))
+    assert together > 0.003 / 3.0
+    # and a level that vision has lost over a hundred frames is found again
+    assert 1.0 / np.sqrt(np.sum(1.0 / np.square(sigma[-100:]))) < 0.012
