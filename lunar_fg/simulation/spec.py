@@ -221,7 +221,7 @@ class SimulationSpec(_Strict):
             except OSError as error:
                 problem = f"cannot be read: {error.strerror}"
                 raise InputError(problem, source=self.terrain.dem) from error
-        return digest.hexdigest()[:16]
+        return f"simulated-{digest.hexdigest()[:10]}"
 
 
 def read_spec(path: Path) -> SimulationSpec:
