@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from lunar_fg.commands.shared import err, out
+from lunar_fg.commands.progress import progress_bar
+from lunar_fg.commands.shared import out
 
 
 def campaign(
@@ -40,13 +40,7 @@ def campaign(
         if scheduler is None
         else DaskCluster(scheduler)
     )
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=err, transient=True) as progress:
+    with progress_bar() as progress:
         task = progress.add_task(read.name, total=total)
         outcomes = run_campaign(read, results, pool, lambda _: progress.advance(task))
     failures = sum(bool(outcome.error) for outcome in outcomes)

@@ -1,4 +1,4 @@
-"""What the commands that navigate share: the run's text log and a progress bar."""
+"""What commands that take their time share: the run's text log and a progress bar."""
 
 from __future__ import annotations
 
@@ -26,17 +26,22 @@ def text_log(folder: RunFolder) -> Iterator[None]:
         handler.close()
 
 
-@contextmanager
-def navigating(
-    folder: RunFolder, name: str, frames: int, done: int = 0
-) -> Iterator[Callable[[Estimate], None]]:
-    """Write the text log and show a progress bar; the result takes each estimate."""
+def progress_bar() -> Progress:
+    """Bar of any command: what, how much, how many, time left; gone when done."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
         TimeRemainingColumn(),
     )
-    with text_log(folder), Progress(*columns, console=err, transient=True) as progress:
+    return Progress(*columns, console=err, transient=True)
+
+
+@contextmanager
+def navigating(
+    folder: RunFolder, name: str, frames: int, done: int = 0
+) -> Iterator[Callable[[Estimate], None]]:
+    """Write the text log and show a progress bar; the result takes each estimate."""
+    with text_log(folder), progress_bar() as progress:
         task = progress.add_task(name, total=frames, completed=done)
         yield lambda _: progress.advance(task)
