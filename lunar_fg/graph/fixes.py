@@ -24,6 +24,7 @@ from lunar_fg.graph.ledger import (
     MapMeasurement,
     Ruling,
 )
+from lunar_fg.graph.network import Claim
 from lunar_fg.graph.planar import (
     Planar,
     carried,
@@ -33,7 +34,7 @@ from lunar_fg.graph.planar import (
     updated,
     wrapped,
 )
-from lunar_fg.graph.vote import NONE, Ballot, Choice, Claim, Group, Vote
+from lunar_fg.graph.vote import NONE, Ballot, Choice, Group, Vote
 
 
 class FixGraph(Protocol):

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontends.measurements import FloatArray, IntArray
-from lunar_fg.graph.planar import turn
 
 #: How far an offset may be (m) and turn (rad).
 _OFFSET_SIGMAS = (1e4, 1e4, 0.02)
@@ -41,29 +40,22 @@ class Refused:
     covariance: FloatArray
 
 
-def refused_cost(
-    refused: Refused, yaw: FloatArray, covariance: FloatArray, barrier: float
-) -> float:
+def refused_cost(refused: Refused, covariance: FloatArray, barrier: float) -> float:
     """What all refused groups cost together.
 
     Parameters
     ----------
     refused
         The places.
-    yaw, covariance
-        (n,) and (3n, 3n) of the stations, in their own axes, without the refused ones.
+    covariance
+        (3n, 3n) of the stations, map axes, without the refused ones.
     barrier
         What one independent error costs.
     """
     left = np.ones(len(refused.group), dtype=bool)
     total = 0.0
-    turns = np.tile(np.eye(3), (len(yaw), 1, 1))
-    turns[:, :2, :2] = [turn(angle) for angle in yaw]
-    # Stations into map axes, then one block for each place.
-    n = len(yaw)
-    blocks = covariance.reshape(n, 3, n, 3)[refused.station][:, :, refused.station]
-    rotate = turns[refused.station]
-    joint = np.einsum("aij,ajbk,blk->aibl", rotate, blocks, rotate)
+    n = len(covariance) // 3
+    joint = covariance.reshape(n, 3, n, 3)[refused.station][:, :, refused.station]
     rows = np.arange(len(refused.group))
     joint[rows, :, rows] += refused.covariance
     agree = _agreement(refused, joint) <= barrier

@@ -1,4 +1,4 @@
-"""The inner loops of segments and of the gate, compiled: serial, without the GIL, cached."""
+"""The inner loops of segments, gate and vote, compiled: serial, without the GIL, cached."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from lunar_fg.graph.kernels.gate import distances
 from lunar_fg.graph.kernels.motions import add_motions, moved
+from lunar_fg.graph.kernels.network import network_covariance, network_terms, solve_network
 from lunar_fg.graph.kernels.projection import LEAST_DEPTH_SHARE
 from lunar_fg.graph.kernels.system import inverse_positive, linearise, stepped, whiteners
 
@@ -18,6 +19,9 @@ __all__ = [
     "inverse_positive",
     "linearise",
     "moved",
+    "network_covariance",
+    "network_terms",
+    "solve_network",
     "stepped",
     "warm",
     "whiteners",
@@ -41,3 +45,7 @@ def warm() -> None:
     inverse_positive(hessian + np.eye(6))
     noise = np.stack([np.eye(3)] * 2)
     distances(lens, pixels, noise, pixels, noise, none, one, hessian[None])
+    place, here = np.zeros((1, 3)), none[:1]
+    solve_network(place, here, here, place, noise[:1], np.ones(1), 1)
+    network_covariance(place, here, here, place, noise[:1], np.ones(1))
+    network_terms(place, here, here, place)
