@@ -21,7 +21,7 @@ _STILL = 1e-7
 
 @njit
 def _wrapped(angle: float) -> float:
-    return angle - 2.0 * np.pi * np.floor((angle + np.pi) / (2.0 * np.pi))
+    return float(angle - 2.0 * np.pi * np.floor((angle + np.pi) / (2.0 * np.pi)))
 
 
 @njit
