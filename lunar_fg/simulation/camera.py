@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from frontends.camera import StereoCamera
 from frontends.geometry import pose, so3_exp
 from frontends.measurements import Image, SunDirection
+from lunar_fg.simulation.sampling import View
 from lunar_fg.simulation.scene import Scene
 from lunar_fg.simulation.spec import CameraSpec
 
@@ -93,8 +94,8 @@ def take_pair(
         focal = stereo_camera(spec).fy
         nod = np.arctan(spec.vertical_misalignment_px / focal)
         map_T_right = map_T_right @ pose(so3_exp([nod, 0.0, 0.0]), np.zeros(3))
-    rays = _unit_rays(spec, spec.supersampling)
-    views = [_radiance(scene, eye, rays, spec, sun) for eye in (map_T_camera, map_T_right)]
+    middles, rays = _unit_rays(spec, 1), _unit_rays(spec, spec.supersampling)
+    views = [_radiance(scene, eye, middles, rays, spec, sun) for eye in (map_T_camera, map_T_right)]
     gain = _exposure(views[0], spec)
     left, right = (_expose(view, gain, spec, rng) for view in views)
     return StereoPicture(left, right, _depth(scene, map_T_camera, spec) if depth else None)
@@ -115,34 +116,33 @@ def pixel_rays(spec: CameraSpec, oversampling: int) -> FloatArray:
         x, y = ideal[:, 0, 0].reshape(grid_u.shape), ideal[:, 0, 1].reshape(grid_u.shape)
     else:
         x, y = (grid_u - camera.cx) / camera.fx, (grid_v - camera.cy) / camera.fy
-    return np.stack([x, y, np.ones_like(x)], axis=2)
+    rays = np.ones((*x.shape, 3))
+    rays[..., 0], rays[..., 1] = x, y
+    return rays
 
 
 def _unit_rays(spec: CameraSpec, oversampling: int) -> Float32:
-    """`pixel_rays` of unit length, (N, 3)."""
-    rays = pixel_rays(spec, oversampling).reshape(-1, 3)
-    length = np.sqrt(np.einsum("ni,ni->n", rays, rays))
-    return np.asarray(rays / length[:, None], dtype=np.float32)
-
-
-def _aimed(scene: Scene, map_T_camera: FloatArray, rays: Float32) -> tuple[Float32, Float32]:
-    """Origins and directions of camera-frame rays, in the scene's axes."""
-    origins = np.empty(rays.shape, dtype=np.float32)
-    origins[:] = map_T_camera[:3, 3] - scene.middle
-    return origins, rays @ map_T_camera[:3, :3].T.astype(np.float32)
+    """`pixel_rays` of unit length."""
+    rays = pixel_rays(spec, oversampling)
+    x, y = rays[..., 0], rays[..., 1]
+    rays *= (1.0 / np.sqrt(1.0 + x * x + y * y))[..., None]
+    return rays.astype(np.float32)
 
 
 def _radiance(
-    scene: Scene, map_T_camera: FloatArray, rays: Float32, spec: CameraSpec, sun: SunDirection
+    scene: Scene,
+    map_T_camera: FloatArray,
+    middles: Float32,
+    rays: Float32,
+    spec: CameraSpec,
+    sun: SunDirection,
 ) -> Float32:
     """Radiance factor in each pixel, blurred by the optics, (height, width)."""
     k = spec.supersampling
-    origins, directions = _aimed(scene, map_T_camera, rays)
-    hits = scene.trace(origins, directions)
-    samples = np.zeros(len(rays), dtype=np.float32)
-    ray_angle = 1.0 / (stereo_camera(spec).fx * k)
-    samples[hits.ray] = scene.radiance(hits, origins, directions, ray_angle, sun, spec.fill_light)
-    picture: Float32 = samples.reshape(spec.height * k, spec.width * k)
+    turn = map_T_camera[:3, :3].T.astype(np.float32)
+    origin = (map_T_camera[:3, 3] - scene.middle).astype(np.float32)
+    view = View.of(scene, sun, spec.fill_light, origin, middles @ turn)
+    picture = view.radiance(rays @ turn, k, 1.0 / (stereo_camera(spec).fx * k))
     if spec.psf_sigma_px > 0.0:
         picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), spec.psf_sigma_px * k), np.float32)
     blocks = picture.reshape(spec.height, k, spec.width, k)
@@ -150,11 +150,12 @@ def _radiance(
 
 
 def _depth(scene: Scene, map_T_camera: FloatArray, spec: CameraSpec) -> Float32:
-    rays = _unit_rays(spec, 1)
-    hits = scene.trace(*_aimed(scene, map_T_camera, rays))
-    depth = np.full(len(rays), np.nan, dtype=np.float32)
-    depth[hits.ray] = hits.distance * rays[hits.ray, 2]
-    return depth.reshape(spec.height, spec.width)
+    rays = _unit_rays(spec, 1).reshape(-1, 3)
+    origins = np.empty(rays.shape, dtype=np.float32)
+    origins[:] = map_T_camera[:3, 3] - scene.middle
+    hits = scene.trace(origins, rays @ map_T_camera[:3, :3].T.astype(np.float32))
+    depth = np.where(hits.part >= 0, hits.distance * rays[:, 2], np.float32(np.nan))
+    return depth.astype(np.float32).reshape(spec.height, spec.width)
 
 
 def _exposure(picture: Float32, spec: CameraSpec) -> float:

@@ -76,9 +76,10 @@ def look_down(scene: Scene, frame: MapFrame, spec: OrbitalSpec, fill_light: floa
     down = np.zeros_like(origins)
     down[:, 2] = -1.0
     hits = scene.trace(origins, down)
-    radiance = np.full(len(origins), np.nan, dtype=np.float32)
     sun = spec.sun.direction()
-    radiance[hits.ray] = scene.radiance(hits, origins, down, 0.0, sun, fill_light, step)
+    dark = scene.unlit(hits, origins, down, sun)
+    radiance = scene.radiance(hits, dark, origins, down, 0.0, sun, fill_light, step)
+    radiance[hits.part < 0] = np.nan
     blocks = radiance.reshape(frame.rows, k, frame.columns, k)
     return np.asarray(blocks.mean(axis=(1, 3)), dtype=np.float32)
 

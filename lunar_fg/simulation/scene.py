@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
@@ -15,11 +14,14 @@ from frontends.measurements import SunDirection
 from frontends.photometry import DEFAULT_LAW, ReflectanceLaw, sun_vector
 from lunar_fg.simulation.levels import Level
 from lunar_fg.simulation.rocks import RockMesh
-from lunar_fg.simulation.texture import Texture, remap_points
+from lunar_fg.simulation.shading import orient, surface
+from lunar_fg.simulation.texture import Texture
 
 FloatArray = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 IntArray = NDArray[np.int64]
+Parts = NDArray[np.int32]
+Mask = NDArray[np.bool_]
 
 #: Mean albedo factor of the highlands.
 _ALBEDO = np.float32(0.13)
@@ -30,29 +32,57 @@ _OFFSET_M, _OFFSET_SHARE = 1e-3, 2e-5
 
 @dataclass(frozen=True, slots=True)
 class Hits:
-    """What rays met: indices of the rays that met anything, and for each of these the rest.
+    """What each of N rays met.
 
     Attributes
     ----------
-    ray
-        (M,) indices into the rays.
-    distance
-        (M,) along the ray, m.
     part
-        (M,) which mesh: a level of the ground, or the rocks as the last.
+        (N,) which mesh: a level of the ground, or the rocks as the last; -1: nothing.
+    distance
+        (N,) along the ray, m; undefined where nothing was met, as all that follows.
     triangle, u, v
-        (M,) triangle of that mesh and barycentric coordinates in it.
+        (N,) triangle of that mesh and barycentric coordinates in it; of rocks alone.
     facet
-        (M, 3) unit normal of the triangle, upwards.
+        (N, 3) unit normal of the triangle, towards the ray's origin.
     """
 
-    ray: IntArray
+    part: Parts
     distance: Float32
-    part: NDArray[np.int32]
     triangle: NDArray[np.int32]
     u: Float32
     v: Float32
     facet: Float32
+
+    def __len__(self) -> int:
+        return len(self.part)
+
+    @classmethod
+    def nothing(cls, count: int) -> Hits:
+        """As many rays that met nothing, to be filled in."""
+        return cls(
+            np.full(count, -1, dtype=np.int32),
+            np.zeros(count, dtype=np.float32),
+            np.zeros(count, dtype=np.int32),
+            np.zeros(count, dtype=np.float32),
+            np.zeros(count, dtype=np.float32),
+            np.zeros((count, 3), dtype=np.float32),
+        )
+
+    def at(self, index: IntArray | slice) -> Hits:
+        """What the rays of the given indices met."""
+        return Hits(
+            self.part[index],
+            self.distance[index],
+            self.triangle[index],
+            self.u[index],
+            self.v[index],
+            self.facet[index],
+        )
+
+    def put(self, index: IntArray, other: Hits) -> None:
+        """Fill in what the rays of the given indices met."""
+        for field in ("part", "distance", "triangle", "u", "v", "facet"):
+            getattr(self, field)[index] = getattr(other, field)
 
 
 class Scene:
@@ -87,6 +117,15 @@ class Scene:
     ) -> None:
         self.levels, self.rocks, self.middle = levels, rocks, middle
         self._fine, self._medium, self._law = fine, medium, law
+        self._shading = np.concatenate([level.shading.reshape(-1, 3) for level in levels])
+        first = np.cumsum([0] + [level.height.size for level in levels])
+        frames = (level.frame for level in levels)
+        self._frames = np.array(
+            [
+                (f.x0, f.y0, f.spacing_m, f.rows, f.columns, n)
+                for f, n in zip(frames, first, strict=False)
+            ]
+        )
         self._build()
 
     def _build(self) -> None:
@@ -110,24 +149,35 @@ class Scene:
     def trace(self, origins: Float32, directions: Float32) -> Hits:
         """First hits of rays, (N, 3) each, directions of unit length."""
         found = self._embree.run(origins, directions, output=True)
-        ray = np.nonzero(found["primID"] >= 0)[0]
-        facet = np.asarray(found["Ng"][ray], dtype=np.float32)
-        facet = _unit(facet)
-        towards = np.einsum("ni,ni->n", facet, directions[ray])
-        facet = np.where(towards[:, None] > 0.0, -facet, facet)
-        return Hits(
-            ray,
-            found["tfar"][ray],
-            found["geomID"][ray],
-            found["primID"][ray],
-            found["u"][ray],
-            found["v"][ray],
-            facet,
-        )
+        part = np.where(found["primID"] >= 0, found["geomID"], -1).astype(np.int32)
+        facet = np.asarray(found["Ng"], dtype=np.float32)
+        orient(facet, directions)
+        return Hits(part, found["tfar"], found["primID"], found["u"], found["v"], facet)
+
+    def unlit(self, hits: Hits, origins: Float32, directions: Float32, sun: SunDirection) -> Mask:
+        """Which rays met what does not see the Sun, (N,): it is turned away, or in a shadow.
+
+        Parameters
+        ----------
+        hits, origins, directions
+            What `trace` gave, and what it was given.
+        sun
+            The light.
+        """
+        to_sun = sun_vector(sun).astype(np.float32)
+        dark = np.ones(len(hits), dtype=np.bool_)
+        facing = np.nonzero((hits.part >= 0) & (hits.facet @ to_sun > 0.0))[0]
+        distance, facet = hits.distance[facing, None], hits.facet[facing]
+        start = origins[facing] + distance * directions[facing]
+        start += (_OFFSET_M + _OFFSET_SHARE * distance) * facet
+        rays = np.ascontiguousarray(np.broadcast_to(to_sun, start.shape))
+        dark[facing] = self._embree.run(start, rays, query="OCCLUDED") == 0
+        return dark
 
     def radiance(
         self,
         hits: Hits,
+        dark: Mask,
         origins: Float32,
         directions: Float32,
         ray_angle: float,
@@ -135,12 +185,12 @@ class Scene:
         fill_light: float,
         ray_width_m: float = 0.0,
     ) -> Float32:
-        """Radiance factor at each hit, (M,).
+        """Radiance factor of what each ray met, (N,); 0 where it met nothing.
 
         Parameters
         ----------
-        hits, origins, directions
-            What `trace` gave, and what it was given.
+        hits, dark, origins, directions
+            What `trace` and `unlit` gave, and what they were given.
         ray_angle, ray_width_m
             Spread of a ray, rad, and its width at the start: how much ground it stands for.
         sun
@@ -148,74 +198,60 @@ class Scene:
         fill_light
             Light from the sunlit ground around, as a share of the direct light.
         """
-        direction = directions[hits.ray]
-        point = origins[hits.ray] + hits.distance[:, None] * direction
-        normal, albedo, light = self._surface(hits, point, direction, ray_angle, ray_width_m)
         to_sun = sun_vector(sun).astype(np.float32)
-        mu0 = normal @ to_sun
-        mu = -np.einsum("ni,ni->n", normal, direction)
-        # a normal bent away from a grazing ray is still seen
-        mu = np.maximum(mu, np.float32(0.05))
-        lit = (mu0 > 0.0) & (hits.facet @ to_sun > 0.0)
-        candidates = np.nonzero(lit)[0]
-        offset = _OFFSET_M + _OFFSET_SHARE * hits.distance[candidates]
-        start = point[candidates] + offset[:, None] * hits.facet[candidates]
-        rays = np.ascontiguousarray(np.broadcast_to(to_sun, start.shape))
-        blocked = self._embree.run(np.ascontiguousarray(start), rays, query="OCCLUDED") == 0
-        lit[candidates[blocked]] = False
-        direct = self._law(mu0, mu, -(direction @ to_sun)) * light
-        ambient = fill_light * (0.5 + 0.5 * normal[:, 2]) * to_sun[2]
-        return np.asarray(albedo * (np.where(lit, direct, 0.0) + ambient), dtype=np.float32)
+        mu0, mu, up, albedo, light = self._surface(
+            hits, origins, directions, to_sun, ray_angle, ray_width_m
+        ).T
+        radiance = fill_light * to_sun[2] * (0.5 + 0.5 * up)
+        lit = np.nonzero((mu0 > 0.0) & ~dark)[0]
+        phase = -(directions[lit] @ to_sun)
+        radiance[lit] += self._law(mu0[lit], mu[lit], phase) * light[lit]
+        radiance *= _ALBEDO * albedo
+        return np.asarray(radiance, dtype=np.float32)
 
     def _surface(
-        self, hits: Hits, point: Float32, direction: Float32, ray_angle: float, ray_width_m: float
-    ) -> tuple[Float32, Float32, Float32]:
-        """Normal, albedo and share of light that the texture lets through, at each hit."""
-        n = len(hits.ray)
-        slope = np.zeros((n, 2), dtype=np.float32)
-        albedo = np.full(n, _ALBEDO, dtype=np.float32)
-        x = point[:, 0] + np.float32(self.middle[0])
-        y = point[:, 1] + np.float32(self.middle[1])
-        grazing = np.maximum(-np.einsum("ni,ni->n", hits.facet, direction), np.float32(0.02))
-        width = np.float32(ray_width_m) + np.float32(ray_angle) * hits.distance
-        footprint = width / np.sqrt(grazing)
-        for part, level in enumerate(self.levels):
-            chosen = np.nonzero(hits.part == part)[0]
-            if len(chosen) == 0:
-                continue
-            frame = level.frame
-            u = (x[chosen] - np.float32(frame.x0)) / np.float32(frame.spacing_m)
-            v = (y[chosen] - np.float32(frame.y0)) / np.float32(frame.spacing_m)
-            shading = remap_points(level.shading, u, v, cv2.BORDER_REPLICATE)
-            slope[chosen] = shading[:, :2]
-            albedo[chosen] *= shading[:, 2]
-            if part < len(self.levels) - 1:
-                bumps = self._medium.sample(x[chosen], y[chosen], footprint[chosen])
-                slope[chosen] += bumps[:, :2]
-                albedo[chosen] *= np.exp(bumps[:, 2])
-        normal = np.empty((n, 3), dtype=np.float32)
-        normal[:, :2] = -slope
-        normal[:, 2] = 1.0
+        self,
+        hits: Hits,
+        origins: Float32,
+        directions: Float32,
+        to_sun: Float32,
+        ray_angle: float,
+        ray_width_m: float,
+    ) -> Float32:
+        """See `shading.surface`."""
+        surfaces = np.zeros((len(hits), 5), dtype=np.float32)
+        surface(
+            hits.part,
+            hits.distance,
+            hits.facet,
+            *self._stones(hits),
+            origins,
+            directions,
+            self.middle,
+            to_sun,
+            ray_angle,
+            ray_width_m,
+            self._shading,
+            self._frames,
+            self._medium.data,
+            self._fine.data,
+            surfaces,
+        )
+        return surfaces
+
+    def _stones(self, hits: Hits) -> tuple[Float32, Float32]:
+        """Unit normal and albedo factor where rays met rocks, in their order."""
         stones = np.nonzero(hits.part == len(self.levels))[0]
-        if self.rocks is not None and len(stones):
-            corners = self.rocks.triangles[hits.triangle[stones]]
-            u, v = hits.u[stones, None], hits.v[stones, None]
-            normals = self.rocks.normals
-            smooth = (1.0 - u - v) * normals[corners[:, 0]]
-            smooth += u * normals[corners[:, 1]] + v * normals[corners[:, 2]]
-            # between a lump and a facetted stone
-            normal[stones] = smooth + hits.facet[stones]
-            albedo[stones] *= self.rocks.albedo[hits.triangle[stones]]
-            # the texture is laid on a stone along its height as well
-            x[stones] += point[stones, 2]
-            y[stones] -= np.float32(0.7) * point[stones, 2]
-        normal = _unit(normal)
-        fine = self._fine.sample(x, y, footprint)
-        normal[:, :2] -= fine[:, :2] * np.maximum(normal[:, 2:], 0.3)
-        normal = _unit(normal)
-        light = fine[:, 3].copy()
-        light[stones] = 1.0
-        return normal, albedo * np.exp(fine[:, 2]), light
+        if self.rocks is None or len(stones) == 0:
+            return np.empty((0, 3), dtype=np.float32), np.empty(0, dtype=np.float32)
+        corners = self.rocks.triangles[hits.triangle[stones]]
+        u, v = hits.u[stones, None], hits.v[stones, None]
+        normals = self.rocks.normals
+        smooth = (1.0 - u - v) * normals[corners[:, 0]]
+        smooth += u * normals[corners[:, 1]] + v * normals[corners[:, 2]]
+        # between a lump and a facetted stone
+        between = smooth + hits.facet[stones]
+        return _unit(between), self.rocks.albedo[hits.triangle[stones]]
 
 
 def _unit(vectors: Float32) -> Float32:

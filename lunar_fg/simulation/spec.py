@@ -13,7 +13,7 @@ from frontends.measurements import SunDirection
 from lunar_fg.datasets.strict_yaml import read_yaml
 
 #: Part of the cache key: raise it when the same spec gives other pixels than before.
-RENDERER_VERSION = 2
+RENDERER_VERSION = 3
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]

@@ -8,17 +8,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from frontends.measurements import SunDirection
 from frontends.photometry import shadowed
+from lunar_fg.simulation.shading import TextureData, sample_texture
 
 FloatArray = NDArray[np.float64]
 Float32 = NDArray[np.float32]
-
-_CHUNK = 4096
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,34 +27,28 @@ class Texture:
     ----------
     texel_m
         Texel of the finest image.
-    pyramid
-        (n, n, 4) float32 images, each half as fine as the one before.
+    texels
+        (M, 4) float32: the images, each half as fine as the one before, row after row.
+    sizes
+        Of the images, texels; powers of two.
     warp
         Phases of the warp, rad.
     """
 
     texel_m: float
-    pyramid: tuple[Float32, ...]
+    texels: Float32
+    sizes: NDArray[np.int64]
     warp: tuple[float, float]
+
+    @property
+    def data(self) -> TextureData:
+        """What the compiled functions take."""
+        return (self.texels, self.sizes, self.texel_m, self.warp)
 
     def sample(self, x: Float32, y: Float32, footprint_m: Float32) -> Float32:
         """Values at points (N,) averaged over about a footprint each, (N, 4)."""
-        warped_x = x + 0.7 * np.sin(y * np.float32(0.37) + np.float32(self.warp[0]))
-        warped_y = y + 0.7 * np.sin(x * np.float32(0.27) + np.float32(self.warp[1]))
-        last = len(self.pyramid) - 1
-        level = np.clip(np.log2(footprint_m / np.float32(self.texel_m)), 0.0, last)
-        below = np.minimum(level.astype(np.int8), last - 1) if last else level.astype(np.int8)
         out = np.empty((len(x), 4), dtype=np.float32)
-        for k in range(max(last, 1)):
-            chosen = np.nonzero(below == k)[0]
-            if len(chosen) == 0:
-                continue
-            px, py = warped_x[chosen], warped_y[chosen]
-            fine = _lookup(self.pyramid[k], self.texel_m * 2.0**k, px, py)
-            if k < last:
-                coarse = _lookup(self.pyramid[k + 1], self.texel_m * 2.0 ** (k + 1), px, py)
-                fine += (level[chosen] - k)[:, None] * (coarse - fine)
-            out[chosen] = fine
+        sample_texture(*self.data, x, y, footprint_m, out)
         return out
 
 
@@ -78,7 +70,7 @@ def make_texture(
     rng
         Source of randomness.
     texel_m, size
-        Finest texel, and texels along each side.
+        Finest texel, and texels along each side, a power of two.
     waves_m
         Shortest and longest wavelength.
     exponent, rms_at_1m
@@ -110,7 +102,12 @@ def make_texture(
         blocks = pyramid[-1].reshape(half, 2, half, 2, 4)
         pyramid.append(np.asarray(blocks.mean(axis=(1, 3)), dtype=np.float32))
     phases = rng.uniform(0.0, 2.0 * np.pi, 2)
-    return Texture(texel_m, tuple(pyramid), (float(phases[0]), float(phases[1])))
+    return Texture(
+        texel_m,
+        np.concatenate([image.reshape(-1, 4) for image in pyramid]),
+        np.array([len(image) for image in pyramid]),
+        (float(phases[0]), float(phases[1])),
+    )
 
 
 def _spectral(
@@ -130,23 +127,3 @@ def _spectral(
     white = np.fft.rfft2(rng.normal(size=(size, size)))
     field = np.fft.irfft2(white * amplitude, s=(size, size))
     return np.asarray(field / field.std())
-
-
-def _lookup(image: Float32, texel_m: float, x: Float32, y: Float32) -> Float32:
-    """Bilinear, wrapped around; (N,) -> (N, 4)."""
-    size = image.shape[0]
-    # texel k covers [k, k + 1) finest-grid units at every level of the pyramid
-    u = np.mod(x / np.float32(texel_m) - np.float32(0.5), np.float32(size))
-    v = np.mod(y / np.float32(texel_m) - np.float32(0.5), np.float32(size))
-    return remap_points(image, u, v, cv2.BORDER_WRAP)
-
-
-def remap_points(image: Float32, u: Float32, v: Float32, border: int) -> Float32:
-    """Bilinear samples of an image at points (N,), (N, channels)."""
-    n = len(u)
-    rows = -(-n // _CHUNK)
-    maps = np.zeros((2, rows * _CHUNK), dtype=np.float32)
-    maps[0, :n], maps[1, :n] = u, v
-    columns = maps.reshape(2, rows, _CHUNK)
-    sampled = cv2.remap(image, columns[0], columns[1], cv2.INTER_LINEAR, borderMode=border)
-    return np.asarray(sampled.reshape(rows * _CHUNK, -1)[:n], dtype=np.float32)
