@@ -39,16 +39,17 @@ def weight_xy(lobe: int) -> np.float32:
 
 @njit
 def response_at(
-    integral: NDArray[np.int32], row: int, column: int, lobe: int
+    ring: NDArray[np.int32], mask: int, row: int, column: int, lobe: int
 ) -> tuple[np.float32, np.float32]:
     """Evaluate determinant (eq. 10) and trace of one filter at one pixel.
 
     Parameters
     ----------
-    integral : ndarray int32
-        Padded integral image in grey*4.
+    ring : ndarray int32
+        Rows of an integral image in grey*4, row r at r & mask.
+    mask : int
     row, column : int
-        Pixel in padded coordinates.
+        Pixel in the ring's coordinates.
     lobe : int
         l = L / 3.
 
@@ -60,31 +61,32 @@ def response_at(
     half = lobe + lobe // 2
     inner = lobe // 2
     wing = lobe_wing(lobe)
-    # Sums wrap modulo 2^32, which the cast of each result undoes. Unsigned indices: see above.
-    y0, y1 = np.uint64(row - half), np.uint64(row - inner)
-    y2, y3 = np.uint64(row + inner + 1), np.uint64(row + half + 1)
+    # Sums wrap modulo 2^32, which the cast of each result undoes. Unsigned indices: signed ones
+    # get a test for negative values.
+    y0, y1 = np.uint64((row - half) & mask), np.uint64((row - inner) & mask)
+    y2, y3 = np.uint64((row + inner + 1) & mask), np.uint64((row + half + 1) & mask)
     x0, x1 = np.uint64(column - wing), np.uint64(column + wing + 1)
     dyy = np.int32(
-        (integral[y3, x1] - integral[y3, x0])
-        - (integral[y0, x1] - integral[y0, x0])
-        + 3 * ((integral[y1, x1] - integral[y1, x0]) - (integral[y2, x1] - integral[y2, x0]))
+        (ring[y3, x1] - ring[y3, x0])
+        - (ring[y0, x1] - ring[y0, x0])
+        + 3 * ((ring[y1, x1] - ring[y1, x0]) - (ring[y2, x1] - ring[y2, x0]))
     )
-    y0, y1 = np.uint64(row - wing), np.uint64(row + wing + 1)
+    y0, y1 = np.uint64((row - wing) & mask), np.uint64((row + wing + 1) & mask)
     x0, x1 = np.uint64(column - half), np.uint64(column - inner)
     x2, x3 = np.uint64(column + inner + 1), np.uint64(column + half + 1)
     dxx = np.int32(
-        (integral[y1, x3] - integral[y0, x3])
-        - (integral[y1, x0] - integral[y0, x0])
-        + 3 * ((integral[y1, x1] - integral[y0, x1]) - (integral[y1, x2] - integral[y0, x2]))
+        (ring[y1, x3] - ring[y0, x3])
+        - (ring[y1, x0] - ring[y0, x0])
+        + 3 * ((ring[y1, x1] - ring[y0, x1]) - (ring[y1, x2] - ring[y0, x2]))
     )
-    y0, y1 = np.uint64(row - lobe), np.uint64(row)
-    y2, y3 = np.uint64(row + 1), np.uint64(row + lobe + 1)
+    y0, y1 = np.uint64((row - lobe) & mask), np.uint64(row & mask)
+    y2, y3 = np.uint64((row + 1) & mask), np.uint64((row + lobe + 1) & mask)
     x0, x1 = np.uint64(column - lobe), np.uint64(column)
     x2, x3 = np.uint64(column + 1), np.uint64(column + lobe + 1)
-    left = (integral[y1, x1] - integral[y1, x0]) - (integral[y0, x1] - integral[y0, x0])
-    left -= (integral[y3, x1] - integral[y3, x0]) - (integral[y2, x1] - integral[y2, x0])
-    right = (integral[y1, x3] - integral[y1, x2]) - (integral[y0, x3] - integral[y0, x2])
-    right -= (integral[y3, x3] - integral[y3, x2]) - (integral[y2, x3] - integral[y2, x2])
+    left = (ring[y1, x1] - ring[y1, x0]) - (ring[y0, x1] - ring[y0, x0])
+    left -= (ring[y3, x1] - ring[y3, x0]) - (ring[y2, x1] - ring[y2, x0])
+    right = (ring[y1, x3] - ring[y1, x2]) - (ring[y0, x3] - ring[y0, x2])
+    right -= (ring[y3, x3] - ring[y3, x2]) - (ring[y2, x3] - ring[y2, x2])
     dxy = np.int32(left - right)
     scale = np.float32(1.0 / ((1 << FRACTION_BITS) * lobe * (2 * wing + 1)))
     scale_xy = np.float32(1.0 / ((1 << FRACTION_BITS) * lobe * lobe))

@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 
 from frontends.jit import njit
 from frontends.surf.box_filters import lobe_wing, weight_xy
-from frontends.surf.integral import PAD, padded_length
-
-RING = 64  # integral rows kept in 16 bits: a power of two, more than the tallest filter
+from frontends.surf.integral import padded_length
 
 
 @njit
@@ -28,26 +26,23 @@ def lobe_shift(lobe: int) -> int:
 
 @njit
 def narrow(
-    integral: NDArray[np.int32],
-    row: int,
+    ring: NDArray[np.int32],
+    slot: int,
     n: int,
     shift0: int,
     shift1: int,
     rings: NDArray[np.int16],
-    slot: int,
 ) -> None:
-    """Copy one row of the integral, cut to 16 bits, into both rings."""
-    first = np.uint64(PAD)
+    """Cut row `slot` of the integral to 16 bits, for each of the two filters."""
     if shift0 == 2 and shift1 == 3:
         # the usual case with constants: a variable shift would be done in 64-bit lanes
         for x in range(np.uint64(n)):
-            rings[0, slot, x] = np.int16(integral[row, first + x] >> 2)
-            rings[1, slot, x] = np.int16(integral[row, first + x] >> 3)
+            rings[0, slot, x] = np.int16(ring[slot, x] >> 2)
+            rings[1, slot, x] = np.int16(ring[slot, x] >> 3)
         return
     for x in range(np.uint64(n)):
-        value = integral[row, first + x]
-        rings[0, slot, x] = np.int16(value >> shift0)
-        rings[1, slot, x] = np.int16(value >> shift1)
+        rings[0, slot, x] = np.int16(ring[slot, x] >> shift0)
+        rings[1, slot, x] = np.int16(ring[slot, x] >> shift1)
 
 
 # In the next three, the arguments ya.. are rows of the cumulative edges a <= b <= c <= d. Rows are
@@ -90,7 +85,7 @@ def _lobe_difference(
 def _determinant(
     work: NDArray[np.int16],
     lobe: int,
-    margin: int,
+    first: int,
     scale: np.float32,
     scale_xy: np.float32,
     out: NDArray[np.float32],
@@ -102,11 +97,11 @@ def _determinant(
     half = lobe + lobe // 2
     inner = lobe // 2
     wing = lobe_wing(lobe)
-    a, b = np.uint64(margin - half), np.uint64(margin - inner)
-    c, d = np.uint64(margin + inner + 1), np.uint64(margin + half + 1)
-    before, after = np.uint64(margin - wing), np.uint64(margin + wing + 1)
-    left, middle = np.uint64(margin - lobe), np.uint64(margin)
-    next_one, right = np.uint64(margin + 1), np.uint64(margin + lobe + 1)
+    a, b = np.uint64(first - half), np.uint64(first - inner)
+    c, d = np.uint64(first + inner + 1), np.uint64(first + half + 1)
+    before, after = np.uint64(first - wing), np.uint64(first + wing + 1)
+    left, middle = np.uint64(first - lobe), np.uint64(first)
+    next_one, right = np.uint64(first + 1), np.uint64(first + lobe + 1)
     for x in range(np.uint64(n)):
         yy = np.int16(work[0, x + after] - work[0, x + before])
         xx = np.int16(work[1, x + d] - work[1, x + a] + 3 * (work[1, x + b] - work[1, x + c]))
@@ -124,7 +119,7 @@ def dense_row(
     ring: NDArray[np.int16],
     y: int,
     lobe: int,
-    margin: int,
+    first: int,
     n: int,
     shift: int,
     work: NDArray[np.int16],
@@ -132,32 +127,32 @@ def dense_row(
     layer: int,
     slot: int,
 ) -> None:
-    """Responses of one filter along image row `y`, for columns margin <= x < margin + n.
+    """Responses of one filter along row `y`, for columns first <= x < first + n of the ring.
 
     Parameters
     ----------
-    ring : ndarray (64, >= n + 2 margin + 1) int16
-        Integral rows modulo 2^16, row r of the image's integral at r % 64.
+    ring : ndarray (R, N) int16
+        Integral rows modulo 2^16, row r of the image's integral at r % R; R is a power of two.
     y : int
         Image row.
     lobe : int
         l = L / 3 of the filter.
-    margin : int
-        Columns left out on the left, at least the half filter.
+    first : int
+        The filter's half, at least.
     n : int
-        Columns, a multiple of `LANES`; those beyond the image get nothing of use.
+        Columns, a multiple of `LANES`; first + n and the filter's half more must not exceed N.
     shift : int
         Bits dropped in `ring`.
-    work : ndarray (3, as `ring`) int16
+    work : ndarray (3, N) int16
         Scratch rows.
     out : ndarray (2, 4, >= n) float32
-        Written at [layer, slot, x - margin].
+        Written at [layer, slot, x - first].
     """
     half = lobe + lobe // 2  # the filter covers y - half .. y + half
     inner = lobe // 2
     wing = lobe_wing(lobe)  # a lobe's long side covers y - wing .. y + wing
-    mask = RING - 1
-    reach = n + padded_length(2 * margin + 1)
+    mask = ring.shape[0] - 1
+    reach = n + padded_length(first + half + 1)
     rows = (
         (y - half) & mask,
         (y - inner) & mask,
@@ -173,4 +168,4 @@ def dense_row(
     area = np.float32(lobe * (2 * wing + 1))
     unit_xy = weight_xy(lobe) * unit / np.float32(lobe * lobe)
     scale = (unit / area) * (unit / area)
-    _determinant(work, lobe, margin, scale, unit_xy * unit_xy, out, layer, slot, n)
+    _determinant(work, lobe, first, scale, unit_xy * unit_xy, out, layer, slot, n)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontends.surf.accurate import RESPONSES, describe_accurate
-from frontends.surf.integral import PAD
+from frontends.surf.integral import STRIP
 from frontends.surf.keypoints import Keypoints
 from frontends.surf.orientation import orient_level, sample_weights
 from frontends.surf.pyramid import Pyramid
@@ -16,7 +16,6 @@ from frontends.surf.upright import describe_upright_level
 
 _SMALLEST_SIZE = 12.0  # size at which a keypoint moves to the next level's image
 _LARGEST_SCALE = 3.6  # s in pixels of a level: what the padding has room for
-_BAND = 32  # rows; a window covers more
 _SCALE_OF_SIZE = 1.2 / 9  # a filter of side L stands for a Gaussian of 1.2 / 9 L
 
 _WINDOW = reach_weights()
@@ -54,26 +53,22 @@ def describe(
     edges = (keypoints.xy + np.float32(0.5)) / block[:, None]
     scales = keypoints.size * (np.float32(_SCALE_OF_SIZE) / block)
     scales = np.minimum(scales, np.float32(_LARGEST_SCALE))
-    centres = edges + np.float32(PAD)
-    # neighbours in the image after each other: their pixels are then in the cache
-    band = level_of << 32 | (edges[:, 1].astype(np.int64) // _BAND) << 16
-    visits = np.argsort(band + edges[:, 0].astype(np.int64))
+    column, row = edges.astype(np.int64).T
+    visits = np.argsort(level_of << 48 | column // STRIP << 32 | row)
     ends = np.cumsum(np.bincount(level_of, minlength=pyramid.levels))
     for level, order in enumerate(np.split(visits, ends[:-1])):
         if not len(order):
             continue
+        pixels = pyramid.level(level)
         if upright and not accurate:
-            describe_upright_level(
-                pyramid.integral(level), centres, scales, order, _WINDOW, descriptors
-            )
+            describe_upright_level(*pixels, edges, scales, order, _WINDOW, descriptors)
             continue
         if assign and not upright:
-            orient_level(pyramid.integral(level), centres, scales, order, _SAMPLES, angles)
+            orient_level(*pixels, edges, scales, order, _SAMPLES, angles)
         turns = np.zeros_like(angles) if upright else angles
         if accurate:
-            image, pixels = pyramid.scaled(level), edges - np.float32(0.5)
-            describe_accurate(image, pixels, scales, order, turns, _WIDE_WINDOW, descriptors)
+            image, centres = pyramid.scaled(level), edges - np.float32(0.5)
+            describe_accurate(image, centres, scales, order, turns, _WIDE_WINDOW, descriptors)
         else:
-            boxes = pyramid.boxes(level)
-            describe_rotated_level(boxes, centres, scales, order, turns, _WINDOW, descriptors)
+            describe_rotated_level(*pixels, edges, scales, order, turns, _WINDOW, descriptors)
     return descriptors, angles

@@ -1,12 +1,17 @@
-"""Block-mean pyramid and padded integral images (Bay et al., eq. 8).
+"""Block-mean pyramid and rolling integral images (Bay et al., eq. 8).
 
 Octave k of the detector uses the same box filters as octave 0 on the image of the means of
 2^k x 2^k blocks: every memory access then has unit stride. Levels above 0 keep two fractional
-bits (grey value times 4), and every integral image is in that unit.
+bits (grey value times 4), and every sum is in that unit.
 
-The integral images are padded by `PAD` replicated pixels on each side, so that neither the
-detector nor the descriptors need a special case at the border. They wrap modulo 2^32, which
-is harmless: the sum over any box below 2^31 is exact.
+No integral image is ever stored whole: the detector and the descriptors go down the image, and
+keep the last rows of it in a ring, which stays in the cache. Wide images are worked through in
+vertical strips for the same reason. Border pixels continue outside, so that the descriptors need
+no special case there. Sums wrap modulo 2^32, which is harmless: the sum over any box below 2^31
+is exact.
+
+A level comes to the kernels as two arrays, of which one is empty: `grey`, uint8, or `blocks`,
+uint16. One type of arguments means one compiled kernel.
 """
 
 from __future__ import annotations
@@ -19,9 +24,9 @@ from numpy.typing import NDArray
 from frontends.jit import kernel, njit
 
 LANES = 64  # row lengths of hot loops are multiples of this: no scalar remainder after SIMD
-PAD = 56  # >= 10 * sqrt(2) * 3.6 + 3: the widest rotated descriptor window, in pixels
-_LEAD = 8  # columns from one running sum to the next
-FRACTION_BITS = 2  # integral images hold sums of grey * 2**FRACTION_BITS
+STRIP = 1024  # columns worked through at a time
+LEAD = 8  # pixels from one running sum to the next
+FRACTION_BITS = 2  # sums are of grey * 2**FRACTION_BITS
 
 
 @njit
@@ -62,88 +67,89 @@ def halve(image: NDArray[Any], shift: int, out: NDArray[np.uint16]) -> None:
                 out[y, x] = np.uint16(np.int32(left + right + 2) >> 2)
 
 
-@kernel
-def integrate(image: NDArray[Any], shift: int, out: NDArray[np.int32]) -> None:
-    """Integral image (eq. 8) of the image padded by `PAD` replicated pixels.
+@njit
+def level_shape(grey: NDArray[np.uint8], blocks: NDArray[np.uint16]) -> tuple[int, int]:
+    """Height and width of a level."""
+    return max(grey.shape[0], blocks.shape[0]), max(grey.shape[1], blocks.shape[1])
 
-    ``out[y, x]`` is the sum over rows < y and columns < x of the padded image times
-    2**shift, modulo 2**32.
+
+@njit
+def load_row(
+    grey: NDArray[np.uint8],
+    blocks: NDArray[np.uint16],
+    y: int,
+    first: int,
+    columns: int,
+    pixels: NDArray[np.uint16],
+) -> None:
+    """Pixels first .. first + columns - 1 of row `y` in grey*4, from ``pixels[LEAD]`` on.
+
+    The pixels at the border continue outside of the image.
+    """
+    height, width = level_shape(grey, blocks)
+    row = np.uint64(min(max(y, 0), height - 1))
+    begin = max(first, 0)
+    count = max(min(first + columns, width) - begin, 0)
+    target, source = np.uint64(LEAD + begin - first), np.uint64(begin)
+    if blocks.size > 0:
+        for x in range(np.uint64(count)):
+            pixels[target + x] = blocks[row, source + x]
+    else:
+        for x in range(np.uint64(count)):
+            pixels[target + x] = np.uint16(np.uint16(grey[row, source + x]) << FRACTION_BITS)
+    before, after = pixels[target], pixels[np.uint64(LEAD + begin - first + count - 1)]
+    for x in range(np.uint64(begin - first)):
+        pixels[np.uint64(LEAD) + x] = before
+    target += np.uint64(count)
+    for x in range(np.uint64(columns - (begin - first) - count)):
+        pixels[target + x] = after
+
+
+@njit
+def append_row(
+    grey: NDArray[np.uint8],
+    blocks: NDArray[np.uint16],
+    y: int,
+    first: int,
+    scratch: NDArray[np.uint16],
+    sums: NDArray[np.int32],
+    ring: NDArray[np.int32],
+) -> None:
+    """Make row y + 1 of a strip's rolling integral image from row y.
 
     Parameters
     ----------
-    image : ndarray (H, W) uint8 or uint16
-    shift : int
-        2 for uint8 grey, 0 for a level that is already in grey*4.
-    out : ndarray (H + 2 PAD + 1, >= W + 2 PAD + 1) int32
-        Columns beyond W + 2 PAD + 1 hold nothing of use.
+    grey, blocks : ndarray (H, W)
+        The level; one of the two is empty.
+    y : int
+        Pixel row.
+    first : int
+        Column of the image at which the strip begins.
+    scratch, sums : ndarray (2, N + LEAD) uint16, (N + LEAD,) int32
+        Scratch, zeros to begin with.
+    ring : ndarray (R, N) int32
+        Row r at r % R, a power of two: the sums of the rows above and of the columns of the strip
+        to the left. N is a multiple of 8.
     """
-    h, w = image.shape
-    columns = np.uint64(out.shape[1])
-    # The running sum of a row, eight columns at a time: sums over windows of 2 and of 4 pixels
-    # first, then each column from the one eight before. `_LEAD` zeros precede each line.
-    pixels = np.zeros(out.shape[1] + _LEAD, np.uint16)
-    windows = np.zeros(out.shape[1] + _LEAD, np.uint16)
-    sums = np.zeros(out.shape[1] + _LEAD, np.int32)
-    lead = np.uint64(_LEAD)
-    factor = np.uint16(1 << shift)
-    back1, back2, back4 = np.uint64(_LEAD - 1), np.uint64(_LEAD - 2), np.uint64(_LEAD - 4)
-    middle = np.uint64(_LEAD + PAD)
-    out[0, :] = 0
-    target = 0
-    for y in range(h):
-        pixels[_LEAD : _LEAD + PAD] = np.uint16(image[y, 0]) * factor
-        for x in range(np.uint64(w)):
-            pixels[middle + x] = np.uint16(np.uint16(image[y, x]) * factor)
-        pixels[_LEAD + PAD + w :] = np.uint16(image[y, w - 1]) * factor
-        for x in range(columns):
-            windows[x + lead] = np.uint16(pixels[x + lead] + pixels[x + back1])
-        for x in range(columns):
-            pixels[x + lead] = np.uint16(windows[x + lead] + windows[x + back2])
-        for x in range(columns):
-            four = np.int32(pixels[x + lead]) + np.int32(pixels[x + back4])
-            sums[x + lead] = np.int32(sums[x] + four)
-        copies = 1
-        if y == 0:
-            copies += PAD
-        if y == h - 1:
-            copies += PAD
-        for _ in range(copies):
-            for x in range(columns):
-                out[target + 1, x] = np.int32(out[target, x] + sums[x + back1])
-            target += 1
-
-
-def integral_shape(height: int, width: int) -> tuple[int, int]:
-    """Shape of the padded integral image of a level; its columns are rounded up for SIMD.
-
-    Returns
-    -------
-    (H + 2 PAD + 1, N), N >= W + 2 PAD + 1 + `LANES`
-    """
-    return height + 2 * PAD + 1, int(padded_length(width + 2 * PAD + 1 + LANES))
-
-
-def integral_image(
-    image: NDArray[np.uint8] | NDArray[np.uint16], out: NDArray[np.int32] | None = None
-) -> NDArray[np.int32]:
-    """Make the padded integral image of one pyramid level.
-
-    Parameters
-    ----------
-    image : ndarray (H, W) uint8 or uint16
-        Grey values, or grey*4 for a uint16 level.
-    out : ndarray int32, optional
-        Of `integral_shape`.
-
-    Returns
-    -------
-    ndarray of `integral_shape`, int32
-        Sums of grey*4, modulo 2**32; columns beyond W + 2 PAD + 1 hold nothing of use.
-    """
-    if out is None:
-        out = np.empty(integral_shape(*image.shape), np.int32)
-    integrate(image, FRACTION_BITS if image.dtype == np.uint8 else 0, out)
-    return out
+    columns = ring.shape[1]
+    pixels, windows = scratch[0], scratch[1]
+    load_row(grey, blocks, y, first, columns, pixels)
+    # running sums, eight columns at a time: sums over windows of 2, 4 and 8 pixels first, then
+    # each column from the one eight before
+    n, lead = np.uint64(columns), np.uint64(LEAD)
+    back1, back2, back4 = np.uint64(LEAD - 1), np.uint64(LEAD - 2), np.uint64(LEAD - 4)
+    for x in range(n):
+        windows[x + lead] = np.uint16(pixels[x + lead] + pixels[x + back1])
+    for x in range(n):
+        pixels[x + lead] = np.uint16(windows[x + lead] + windows[x + back2])
+    for x in range(n):
+        windows[x + lead] = np.uint16(pixels[x + lead] + pixels[x + back4])
+    for x in range(n):
+        sums[x + lead] = np.int32(sums[x] + np.int32(windows[x + lead]))
+    mask = ring.shape[0] - 1
+    above, below = np.uint64(y & mask), np.uint64((y + 1) & mask)
+    for x in range(n):
+        ring[below, x] = np.int32(ring[above, x] + sums[x + back1])
 
 
 def half_image(

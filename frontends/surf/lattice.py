@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontends.jit import njit
+from frontends.surf.windows import WINDOW_ROWS
 
 # Fraction bits of the bilinear weights in each direction. Sums over the largest Haar wavelet
 # (half of 4s x 4s at s = 3.6, grey*4) times 2^14 stay below 2^31; lattice values themselves wrap.
@@ -22,7 +23,7 @@ _CHUNK = 32
 
 @njit
 def sample_lattice(
-    integral: NDArray[np.int32],
+    ring: NDArray[np.int32],
     x: float,
     y: float,
     pitch: float,
@@ -36,10 +37,10 @@ def sample_lattice(
 
     Parameters
     ----------
-    integral : ndarray int32
-        Integral image, padded enough to contain the lattice.
+    ring : ndarray (WINDOW_ROWS, N) int32
+        The rows of an integral image that contain the lattice, row r at r % WINDOW_ROWS.
     x, y : float
-        Centre, in pixel edges of the padded image (pixel i spans i .. i + 1).
+        Centre, in pixel edges of the ring (pixel i spans i .. i + 1).
     pitch : float
         Distance of the lattice lines in pixels.
     n : int
@@ -66,13 +67,15 @@ def sample_lattice(
         weights[j] = np.int32(position & fraction)
     left_edge = np.uint64(first)
     next_column = np.uint64(1)
+    mask = WINDOW_ROWS - 1
     for i in range(n):
         position = start_y + i * step
         row = position >> WEIGHT_BITS
         weight = np.int32(position & fraction)
+        upper, lower = np.uint64(row & mask), np.uint64((row + 1) & mask)
         for k in range(np.uint64(span)):
-            above = integral[row, left_edge + k]
-            below = integral[row + 1, left_edge + k]
+            above = ring[upper, left_edge + k]
+            below = ring[lower, left_edge + k]
             # each step cut to 32 bits: otherwise numba works in 64, three times as slow
             slope = np.int32(np.int32(below - above) * weight)
             line[k] = np.int32(np.int32(above << WEIGHT_BITS) + slope)

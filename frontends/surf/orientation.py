@@ -13,6 +13,14 @@ from numpy.typing import NDArray
 
 from frontends.jit import kernel, njit
 from frontends.surf.lattice import LATTICE_LANES, LATTICE_PITCH, LINE_LENGTH, sample_lattice
+from frontends.surf.windows import (
+    LINE,
+    NOWHERE,
+    RING_COLUMNS,
+    WINDOW_ROWS,
+    extend_integral,
+    strip_of,
+)
 
 LINES = 17  # lattice lines: samples at -6 .. 6, wavelets reaching 2 further
 _BINS = 72  # 5 degrees each
@@ -101,7 +109,7 @@ def _sector_sums(sums: NDArray[np.float32], work: NDArray[np.float32]) -> None:
 
 @njit
 def orientation(
-    integral: NDArray[np.int32],
+    ring: NDArray[np.int32],
     x: float,
     y: float,
     scale: float,
@@ -119,10 +127,10 @@ def orientation(
 
     Parameters
     ----------
-    integral : ndarray int32
-        Padded integral image.
+    ring : ndarray (WINDOW_ROWS, RING_COLUMNS) int32
+        From `extend_integral`.
     x, y : float
-        Centre, in pixel edges of the padded image.
+        Centre, in pixel edges of the ring.
     scale : float
         s in pixels.
     weights : ndarray (13, 16) float32
@@ -137,7 +145,7 @@ def orientation(
     float
         Radians in [0, 2 pi), from the x axis towards the y axis (down).
     """
-    sample_lattice(integral, x, y, scale, LINES, line, columns, fractions, lattice)
+    sample_lattice(ring, x, y, scale, LINES, line, columns, fractions, lattice)
     _responses(lattice, weights, haar, bin_of)
     sums[:] = 0
     for i in range(13):
@@ -159,7 +167,8 @@ def orientation(
 
 @kernel
 def orient_level(
-    integral: NDArray[np.int32],
+    grey: NDArray[np.uint8],
+    blocks: NDArray[np.uint16],
     centres: NDArray[np.float32],
     scales: NDArray[np.float32],
     order: NDArray[np.int64],
@@ -170,14 +179,14 @@ def orient_level(
 
     Parameters
     ----------
-    integral : ndarray int32
-        Padded integral image of the level.
+    grey, blocks : ndarray (H, W)
+        The level; one of the two is empty, see `integral`.
     centres : ndarray (N, 2) float32
-        x, y in pixel edges of the padded level.
+        x, y in pixel edges of the level.
     scales : ndarray (N,) float32
         s in pixels of the level.
     order : ndarray (M,) int64
-        Which keypoints, in the order to visit them.
+        Which keypoints, by strip, and by row within it.
     weights : ndarray (13, 16) float32
         From `sample_weights`.
     angles : ndarray (N,) float32
@@ -191,9 +200,16 @@ def orient_level(
     bin_of = np.zeros((13, _LANES), np.int32)
     sums = np.zeros((2, BINS_LENGTH), np.float32)
     work = np.zeros((2, BINS_LENGTH), np.float32)
+    scratch = np.zeros((2, LINE), np.uint16)
+    prefix = np.zeros(LINE, np.int32)
+    ring = np.zeros((WINDOW_ROWS, RING_COLUMNS), np.int32)
+    left, newest = NOWHERE, NOWHERE
     for i in order:
         x, y, scale = float(centres[i, 0]), float(centres[i, 1]), float(scales[i])
+        if strip_of(x) != left:
+            left, newest = strip_of(x), NOWHERE
+        newest = extend_integral(grey, blocks, left, y, newest, scratch, prefix, ring)
         angles[i] = orientation(
-            integral, x, y, scale, weights, line, columns, fractions, lattice, haar, bin_of, sums,
-            work,
+            ring, x - left, y, scale, weights, line, columns, fractions, lattice, haar, bin_of,
+            sums, work,
         )  # fmt: skip

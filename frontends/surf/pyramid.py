@@ -1,4 +1,4 @@
-"""Block means and integral images of one image, in buffers that outlive it."""
+"""Block means of one image, in buffers that outlive it."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from frontends.surf.integral import FRACTION_BITS, half_image, integral_image, integral_shape
-from frontends.surf.rotated import box_pairs
+from frontends.surf.integral import FRACTION_BITS, half_image
+
+_NO_GREY = np.empty((0, 0), np.uint8)
+_NO_BLOCKS = np.empty((0, 0), np.uint16)
 
 
 class Buffers:
@@ -30,7 +32,7 @@ class Buffers:
 
 
 class Pyramid:
-    """Block means and integral images of one image, made when first asked for.
+    """Block means of one image, made when first asked for.
 
     Parameters
     ----------
@@ -41,8 +43,6 @@ class Pyramid:
 
     def __init__(self, grey: NDArray[np.uint8], buffers: Buffers) -> None:
         self._images: list[NDArray[Any]] = [grey]
-        self._integrals: dict[int, NDArray[np.int32]] = {}
-        self._boxes: dict[int, NDArray[np.uint32]] = {}
         self.buffers = buffers
         self.levels = max(1, min(grey.shape).bit_length() - 3)  # the last is 4 to 7 pixels
 
@@ -60,6 +60,11 @@ class Pyramid:
             self._images.append(out)
         return self._images[level]
 
+    def level(self, level: int) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
+        """Give the block means as the kernels take them, see `frontends.surf.integral`."""
+        image = self.image(level)
+        return (image, _NO_BLOCKS) if level == 0 else (_NO_GREY, image)
+
     def scaled(self, level: int) -> NDArray[np.uint16]:
         """Give the block means in grey*4, also at level 0."""
         image = self.image(level)
@@ -68,22 +73,3 @@ class Pyramid:
         out = self.buffers.get("scaled", shape=image.shape, dtype=np.uint16)
         np.multiply(image, 1 << FRACTION_BITS, out=out, dtype=np.uint16)
         return out
-
-    def integral(self, level: int) -> NDArray[np.int32]:
-        """Give the padded integral image in grey*4."""
-        if level not in self._integrals:
-            shape = integral_shape(*self.shape(level))
-            out = self.buffers.get("integral", level, shape=shape, dtype=np.int32)
-            integral_image(self.image(level), out)
-            self._integrals[level] = out
-        return self._integrals[level]
-
-    def boxes(self, level: int) -> NDArray[np.uint32]:
-        """Give the sums of 2x2 pixels of the padded level, as `box_pairs` packs them."""
-        if level not in self._boxes:
-            integral = self.integral(level)
-            shape = (integral.shape[0] - 2, integral.shape[1])
-            boxes = self.buffers.get("boxes", level, shape=shape, dtype=np.uint32)
-            box_pairs(integral, boxes)
-            self._boxes[level] = boxes
-        return self._boxes[level]

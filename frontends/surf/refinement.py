@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from frontends.jit import kernel, njit
+from frontends.jit import njit
 from frontends.surf.box_filters import response_at
-from frontends.surf.integral import PAD
 
 
 @njit
 def refine(
-    integral: NDArray[np.int32],
+    ring: NDArray[np.int32],
+    mask: int,
+    row: int,
+    column: int,
     lobe: int,
-    positions: NDArray[np.int32],
-    neighbours: NDArray[np.float32],
-    which: int,
+    layer: int,
     cube: NDArray[np.float32],
     out: NDArray[np.float32],
     target: int,
@@ -25,42 +25,35 @@ def refine(
 
     Parameters
     ----------
-    integral : ndarray int32
-        Padded integral image in grey*4.
+    ring : ndarray int32
+        Rows of the integral image in grey*4, row r at r & mask.
+    mask : int
+    row, column : int
+        The candidate, in the ring's coordinates.
     lobe : int
         l of the lower dense layer of the pair.
-    positions, neighbours : ndarray
-        As stored by `detect_pair`; whole, because a slice costs a reference count.
-    which : int
-        Row of them.
+    layer : int
+        0 or 1: which of them it is in.
     cube : ndarray (3, 3, 3) float32
-        Scratch.
+        Responses of the neighbours by layer, row, column: those of the dense layers come in,
+        those of the outer one (the first for layer 0, else the last) are filled in.
     out : ndarray (N, >= 5) float32
     target : int
-        Row of `out` to write: x, y (pixels of this level), size (side L of the filter),
-        response, trace.
+        Row of `out` to write: x, y beside the candidate, size (side L of the filter), response,
+        trace; in pixels of this level.
 
     Returns
     -------
     bool
         False where the outer layer is as high or the maximum lies outside the neighbourhood.
     """
-    layer = int(positions[which, 0])
-    row = int(positions[which, 1]) + PAD
-    col = int(positions[which, 2]) + PAD
     outer = 0 if layer == 0 else 2
-    k = 0
-    for i in range(2):
-        for j in range(3):
-            for m in range(3):
-                cube[i + 1 - layer, j, m] = neighbours[which, k]
-                k += 1
     value = cube[1, 1, 1]
     outer_lobe = lobe - 2 if layer == 0 else lobe + 4
     for step in range(9):
         # from the centre outwards (4, 5, 3, 6 ..): it decides most often
         k = 4 + (step + 1) // 2 * (1 if step % 2 == 1 else -1)
-        det, _ = response_at(integral, row + k // 3 - 1, col + k % 3 - 1, outer_lobe)
+        det, _ = response_at(ring, mask, row + k // 3 - 1, column + k % 3 - 1, outer_lobe)
         if det >= value:
             return False
         cube[outer, k // 3, k % 3] = det
@@ -92,58 +85,10 @@ def refine(
     if not (abs(dx) <= 1 and abs(dy) <= 1 and abs(ds) <= 1):
         return False
     centre_lobe = lobe + 2 * layer
-    _, trace = response_at(integral, row, col, centre_lobe)
-    out[target, 0] = np.float32(col - PAD) + dx
-    out[target, 1] = np.float32(row - PAD) + dy
+    _, trace = response_at(ring, mask, row, column, centre_lobe)
+    out[target, 0] = dx
+    out[target, 1] = dy
     out[target, 2] = 3 * centre_lobe + 6 * ds
     out[target, 3] = value
     out[target, 4] = trace
     return True
-
-
-@kernel
-def refine_all(
-    integral: NDArray[np.int32],
-    lobe: int,
-    positions: NDArray[np.int32],
-    neighbours: NDArray[np.float32],
-    responses: NDArray[np.float32],
-    least: np.float32,
-    above: np.float32,
-    octave: int,
-    out: NDArray[np.float32],
-    first: int,
-) -> int:
-    """Refine the candidates with least <= response < above; see `refine`.
-
-    Parameters
-    ----------
-    responses : ndarray (C,) float32
-        Of the candidates in `positions` and `neighbours`.
-    octave : int
-        The level's blocks have 2^octave x 2^octave pixels.
-    out : ndarray (N, 6) float32
-        x, y, size (pixels of the image), response, trace, octave, in the order of the candidates.
-    first : int
-        Row of `out` to begin at; as many as there are candidates must follow.
-
-    Returns
-    -------
-    int
-        Row after the last one filled.
-    """
-    cube = np.empty((3, 3, 3), np.float32)
-    block = np.float32(1 << octave)
-    half = np.float32(0.5)
-    kept = first
-    for i in range(responses.size):
-        if responses[i] < least or responses[i] >= above:
-            continue
-        if refine(integral, lobe, positions, neighbours, i, cube, out, kept):
-            # the centre of block i is at pixel (i + 1/2) block - 1/2
-            out[kept, 0] = (out[kept, 0] + half) * block - half
-            out[kept, 1] = (out[kept, 1] + half) * block - half
-            out[kept, 2] *= block
-            out[kept, 5] = np.float32(octave)
-            kept += 1
-    return kept

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontends.jit import kernel, njit
+from frontends.surf.integral import LEAD, load_row
 from frontends.surf.subregions import (
     FIRST_DX,
     FIRST_DY,
@@ -17,35 +18,62 @@ from frontends.surf.subregions import (
     SUMS_LENGTH,
     gather_bands,
 )
+from frontends.surf.windows import (
+    LINE,
+    NOWHERE,
+    REACH,
+    RING_COLUMNS,
+    WINDOW_ROWS,
+    first_row,
+    strip_of,
+)
 
 _PITCH = 32  # from one row of the patch to the next
 
 
-@kernel
-def box_pairs(integral: NDArray[np.int32], out: NDArray[np.uint32]) -> None:
-    """Sum 2 x 2 pixels at every position: the samples of the rotated window.
+@njit
+def extend_boxes(
+    grey: NDArray[np.uint8],
+    blocks: NDArray[np.uint16],
+    left: int,
+    y: float,
+    newest: int,
+    upper: NDArray[np.uint16],
+    lower: NDArray[np.uint16],
+    ring: NDArray[np.uint32],
+) -> int:
+    """Extend the sums of 2 x 2 pixels of a strip to what a window at row `y` touches.
 
     Parameters
     ----------
-    integral : ndarray (M, N) int32
-        Padded integral image in grey*4.
-    out : ndarray (M - 2, N) uint32
-        The low half of ``out[i, j]`` is the sum centred on the pixel edge (i + 1, j + 1), the
-        high half the one centred on (i + 1, j + 2): one read gives both for interpolation.
-        The last three columns hold nothing of use.
+    grey, blocks, left, y, newest
+        As in `extend_integral`.
+    upper, lower : ndarray (LINE,) uint16
+        Scratch.
+    ring : ndarray (WINDOW_ROWS, RING_COLUMNS) uint32
+        The low half of ``ring[i, j]`` is the sum centred on the pixel edge (i + 1, j + 1), the
+        high half the one centred on (i + 1, j + 2): one read gives both for interpolation. Row i
+        is at i % WINDOW_ROWS.
+
+    Returns
+    -------
+    int
+        The new `newest`.
     """
-    columns = np.uint64(out.shape[1])
-    one = np.uint64(1)
-    two = np.uint64(2)
-    three = np.uint64(3)
-    sums = np.zeros(out.shape[1] + 3, np.int32)
-    for y in range(out.shape[0]):
-        for x in range(columns):
-            sums[x] = np.int32(integral[y + 2, x] - integral[y, x])
-        for x in range(columns):
-            low = np.uint32(np.int32(sums[x + two] - sums[x])) & np.uint32(0xFFFF)
-            high = np.uint32(np.int32(sums[x + three] - sums[x + one]))
-            out[y, x] = low | np.uint32(high << np.uint32(16))
+    lead, next_one, after = np.uint64(LEAD), np.uint64(LEAD + 1), np.uint64(1)
+    for row in range(first_row(y, newest), math.floor(y) + REACH + 1):
+        load_row(grey, blocks, row, left, RING_COLUMNS, upper)
+        load_row(grey, blocks, row + 1, left, RING_COLUMNS, lower)
+        for x in range(np.uint64(RING_COLUMNS)):
+            upper[lead + x] = np.uint16(upper[lead + x] + lower[lead + x])
+        for x in range(np.uint64(RING_COLUMNS - 1)):
+            lower[x] = np.uint16(upper[lead + x] + upper[next_one + x])
+        slot = np.uint64(row & (WINDOW_ROWS - 1))
+        for x in range(np.uint64(RING_COLUMNS - 2)):
+            high = np.uint32(np.uint32(lower[x + after]) << np.uint32(16))
+            ring[slot, x] = np.uint32(lower[x]) | high
+        newest = row + 1
+    return newest
 
 
 @njit
@@ -72,10 +100,10 @@ def describe_rotated(
 
     Parameters
     ----------
-    boxes : ndarray uint32
-        From `box_pairs`.
+    boxes : ndarray (WINDOW_ROWS, RING_COLUMNS) uint32
+        From `extend_boxes`.
     x, y : float
-        Centre, in pixel edges of the padded image.
+        Centre, in pixel edges of the ring.
     scale : float
         s in pixels.
     angle : float
@@ -83,7 +111,7 @@ def describe_rotated(
     weights : ndarray (36,) float32
         From `reach_weights`.
     index, rows, pairs, patch, haar, sums : ndarray
-        Scratch: uint64 (24,), float32 (2, 24), uint32 (2, 24), float32 (32 * 21,), and that of
+        Scratch: uint64 (2, 24), float32 (2, 24), uint32 (2, 24), float32 (32 * 21,), and that of
         `gather_bands`.
     out : ndarray (N, 64) float32
     which : int
@@ -93,8 +121,8 @@ def describe_rotated(
     sin = np.float32(scale * math.sin(angle))
     half = np.float32(10)
     flat = boxes.reshape(-1)
-    stride = boxes.shape[1]
-    below = np.uint64(stride)
+    mask = np.int32(WINDOW_ROWS - 1)
+    y += WINDOW_ROWS  # rows above the image are negative
     low = np.uint32(0xFFFF)
     high = np.uint32(16)
     for i in range(21):
@@ -110,10 +138,11 @@ def describe_rotated(
             iy = np.int32(py)
             rows[0, j] = px - np.float32(ix)
             rows[1, j] = py - np.float32(iy)
-            index[j] = np.uint64(np.int64(iy) * stride + ix)
+            index[0, j] = np.uint64(np.int64(iy & mask) * RING_COLUMNS + ix)
+            index[1, j] = np.uint64(np.int64((iy + np.int32(1)) & mask) * RING_COLUMNS + ix)
         for j in range(LANES):
-            pairs[0, j] = flat[index[j]]
-            pairs[1, j] = flat[index[j] + below]
+            pairs[0, j] = flat[index[0, j]]
+            pairs[1, j] = flat[index[1, j]]
         for j in range(LANES):
             a = np.float32(np.int32(pairs[0, j] & low))
             b = np.float32(np.int32(pairs[0, j] >> high))
@@ -137,7 +166,8 @@ def describe_rotated(
 
 @kernel
 def describe_rotated_level(
-    boxes: NDArray[np.uint32],
+    grey: NDArray[np.uint8],
+    blocks: NDArray[np.uint16],
     centres: NDArray[np.float32],
     scales: NDArray[np.float32],
     order: NDArray[np.int64],
@@ -149,22 +179,26 @@ def describe_rotated_level(
 
     Parameters
     ----------
-    boxes : ndarray uint32
-        From `box_pairs`.
-    centres, scales, order, weights, out : ndarray
+    grey, blocks, centres, scales, order, weights, out : ndarray
         As in `describe_upright_level`.
     angles : ndarray (N,) float32
         Radians.
     """
-    index = np.zeros(LANES, np.uint64)
+    index = np.zeros((2, LANES), np.uint64)
     rows = np.zeros((2, LANES), np.float32)
     pairs = np.zeros((2, LANES), np.uint32)
     patch = np.zeros(21 * _PITCH, np.float32)
     haar = np.zeros(HAAR_LENGTH, np.float32)
     sums = np.zeros(SUMS_LENGTH, np.float32)
+    upper, lower = np.zeros(LINE, np.uint16), np.zeros(LINE, np.uint16)
+    boxes = np.zeros((WINDOW_ROWS, RING_COLUMNS), np.uint32)
+    left, newest = NOWHERE, NOWHERE
     for i in order:
         x, y, scale = float(centres[i, 0]), float(centres[i, 1]), float(scales[i])
         angle = float(angles[i])
+        if strip_of(x) != left:
+            left, newest = strip_of(x), NOWHERE
+        newest = extend_boxes(grey, blocks, left, y, newest, upper, lower, boxes)
         describe_rotated(
-            boxes, x, y, scale, angle, weights, index, rows, pairs, patch, haar, sums, out, i
+            boxes, x - left, y, scale, angle, weights, index, rows, pairs, patch, haar, sums, out, i
         )

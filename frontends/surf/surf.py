@@ -48,7 +48,7 @@ class SURF:
     Notes
     -----
     An instance may be used by several threads at once (the kernels release the GIL). It keeps
-    its buffers, about 12 bytes a pixel (18 unless upright) and a thread, between calls.
+    its buffers, about 2 bytes a pixel and a thread, between calls.
 
     Raises
     ------

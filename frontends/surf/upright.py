@@ -16,13 +16,21 @@ from frontends.surf.subregions import (
     SUMS_LENGTH,
     gather_bands,
 )
+from frontends.surf.windows import (
+    LINE,
+    NOWHERE,
+    RING_COLUMNS,
+    WINDOW_ROWS,
+    extend_integral,
+    strip_of,
+)
 
 LINES = 22  # of the lattice
 
 
 @njit
 def describe_upright(
-    integral: NDArray[np.int32],
+    ring: NDArray[np.int32],
     x: float,
     y: float,
     scale: float,
@@ -40,10 +48,10 @@ def describe_upright(
 
     Parameters
     ----------
-    integral : ndarray int32
-        Padded integral image.
+    ring : ndarray (WINDOW_ROWS, RING_COLUMNS) int32
+        From `extend_integral`.
     x, y : float
-        Centre, in pixel edges of the padded image.
+        Centre, in pixel edges of the ring.
     scale : float
         s in pixels.
     weights : ndarray (36,) float32
@@ -56,7 +64,7 @@ def describe_upright(
     which : int
         Row of `out` to write.
     """
-    sample_lattice(integral, x, y, scale, LINES, line, columns, fractions, lattice)
+    sample_lattice(ring, x, y, scale, LINES, line, columns, fractions, lattice)
     one, two = np.uint64(1), np.uint64(2)
     for i in range(RESPONSES):
         dx, dy = np.uint64(FIRST_DX + LANES * i), np.uint64(FIRST_DY + LANES * i)
@@ -78,7 +86,8 @@ def describe_upright(
 
 @kernel
 def describe_upright_level(
-    integral: NDArray[np.int32],
+    grey: NDArray[np.uint8],
+    blocks: NDArray[np.uint16],
     centres: NDArray[np.float32],
     scales: NDArray[np.float32],
     order: NDArray[np.int64],
@@ -89,14 +98,14 @@ def describe_upright_level(
 
     Parameters
     ----------
-    integral : ndarray int32
-        Padded integral image of the level.
+    grey, blocks : ndarray (H, W)
+        The level; one of the two is empty, see `integral`.
     centres : ndarray (N, 2) float32
-        x, y in pixel edges of the padded level.
+        x, y in pixel edges of the level.
     scales : ndarray (N,) float32
         s in pixels of the level.
     order : ndarray (M,) int64
-        Which keypoints, in the order to visit them.
+        Which keypoints, by strip, and by row within it.
     weights : ndarray (36,) float32
         From `reach_weights`.
     out : ndarray (N, 64) float32
@@ -107,8 +116,15 @@ def describe_upright_level(
     lattice = np.zeros(LINES * LATTICE_PITCH, np.int32)
     haar = np.zeros(HAAR_LENGTH, np.float32)
     sums = np.zeros(SUMS_LENGTH, np.float32)
+    scratch = np.zeros((2, LINE), np.uint16)
+    prefix = np.zeros(LINE, np.int32)
+    ring = np.zeros((WINDOW_ROWS, RING_COLUMNS), np.int32)
+    left, newest = NOWHERE, NOWHERE
     for i in order:
         x, y, scale = float(centres[i, 0]), float(centres[i, 1]), float(scales[i])
+        if strip_of(x) != left:
+            left, newest = strip_of(x), NOWHERE
+        newest = extend_integral(grey, blocks, left, y, newest, scratch, prefix, ring)
         describe_upright(
-            integral, x, y, scale, weights, line, columns, fractions, lattice, haar, sums, out, i
+            ring, x - left, y, scale, weights, line, columns, fractions, lattice, haar, sums, out, i
         )

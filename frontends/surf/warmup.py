@@ -7,11 +7,10 @@ from collections.abc import Callable
 
 from frontends.jit import load_kernels
 from frontends.surf.accurate import describe_accurate
-from frontends.surf.integral import halve, integrate
+from frontends.surf.integral import halve
 from frontends.surf.maxima import detect_pair
 from frontends.surf.orientation import orient_level
-from frontends.surf.refinement import refine_all
-from frontends.surf.rotated import box_pairs, describe_rotated_level
+from frontends.surf.rotated import describe_rotated_level
 from frontends.surf.upright import describe_upright_level
 
 _Kernels = tuple[tuple[Callable[..., object], str], ...]
@@ -19,38 +18,29 @@ _Kernels = tuple[tuple[Callable[..., object], str], ...]
 _COMMON: _Kernels = (
     (halve, "void(uint8[:,::1], int64, uint16[:,::1])"),
     (halve, "void(uint16[:,::1], int64, uint16[:,::1])"),
-    (integrate, "void(uint8[:,::1], int64, int32[:,::1])"),
-    (integrate, "void(uint16[:,::1], int64, int32[:,::1])"),
     (
         detect_pair,
-        "int64(int32[:,::1], int64, int64, float32, boolean, int32[:,::1], float32[:,::1],"
-        " float32[::1])",
-    ),
-    (
-        refine_all,
-        "int64(int32[:,::1], int64, int32[:,::1], float32[:,::1], float32[::1], float32, float32,"
-        " int64, float32[:,::1], int64)",
+        "int64(uint8[:,::1], uint16[:,::1], int64, int64, float32, boolean, float32[:,::1])",
     ),
 )
 _UPRIGHT: _Kernels = (
     (
         describe_upright_level,
-        "void(int32[:,::1], float32[:,::1], float32[::1], int64[::1], float32[::1],"
+        "void(uint8[:,::1], uint16[:,::1], float32[:,::1], float32[::1], int64[::1], float32[::1],"
         " float32[:,::1])",
     ),
 )
 _ORIENT: _Kernels = (
     (
         orient_level,
-        "void(int32[:,::1], float32[:,::1], float32[::1], int64[::1], float32[:,::1],"
-        " float32[::1])",
+        "void(uint8[:,::1], uint16[:,::1], float32[:,::1], float32[::1], int64[::1],"
+        " float32[:,::1], float32[::1])",
     ),
 )
 _ROTATED: _Kernels = (
-    (box_pairs, "void(int32[:,::1], uint32[:,::1])"),
     (
         describe_rotated_level,
-        "void(uint32[:,::1], float32[:,::1], float32[::1], int64[::1], float32[::1],"
+        "void(uint8[:,::1], uint16[:,::1], float32[:,::1], float32[::1], int64[::1], float32[::1],"
         " float32[::1], float32[:,::1])",
     ),
 )
