@@ -23,9 +23,6 @@ from frontends.reprojection import TwoViewProblem
 
 FloatArray = NDArray[np.float64]
 
-#: Wrong motions accepted, a frame that shows none.
-_MOST_FALSE_ALARMS = 1e-3
-
 
 @dataclass(frozen=True, slots=True)
 class RelativeConfig:
@@ -43,6 +40,8 @@ class RelativeConfig:
         Fewer make the motion refused.
     kernel_sigma
         Scale of the Cauchy kernel, in sigmas.
+    false_alarms
+        Wrong motions accepted, a frame that shows none.
     """
 
     __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
@@ -52,6 +51,7 @@ class RelativeConfig:
     max_hypotheses: Annotated[int, Ge(1)] = 500
     min_inliers: Annotated[int, Ge(3)] = 12
     kernel_sigma: Annotated[float, Gt(0)] = 2.0
+    false_alarms: Annotated[float, Gt(0), Lt(1)] = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +60,14 @@ class MotionPrediction:
 
     a_T_b: FloatArray
     covariance: FloatArray
+
+    def in_frames(self, body_T_sensor: FloatArray) -> MotionPrediction:
+        """The same motion between bodies that carry the sensor at `body_T_sensor`."""
+        rotate = adjoint(body_T_sensor)
+        return MotionPrediction(
+            body_T_sensor @ self.a_T_b @ inverse(body_T_sensor),
+            rotate @ self.covariance @ rotate.T,
+        )
 
 
 def rigid_transform(points_a: FloatArray, points_b: FloatArray) -> FloatArray:
@@ -241,7 +249,7 @@ class RelativePositioning:
         inlier = chi2 < self._gate
         if inlier.sum() < self._needed:
             return _refuse(prediction, count, "the motion does not hold after refinement")
-        if false_alarms(chi2, self._gate) > _MOST_FALSE_ALARMS:
+        if false_alarms(chi2, self._gate) > self.config.false_alarms:
             return _refuse(
                 prediction,
                 count,

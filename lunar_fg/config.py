@@ -16,6 +16,7 @@ from frontends.tracking import TrackingConfig
 from lunar_fg.datasets.strict_yaml import read_yaml
 from lunar_fg.graph.config import GraphConfig
 from lunar_fg.localisation import LocalisationConfig
+from lunar_fg.loop_closing import LoopClosingConfig
 from lunar_fg.motion_config import MotionConfig
 from lunar_fg.orbital_files import MapConfig
 from lunar_fg.route import RouteConfig
@@ -29,7 +30,7 @@ class Config(BaseModel):
     seed
         Of every random choice.
     stereo, tracking, relative, disparity_check, motion, graph, route, map, localisation,
-    absolute, dense
+    absolute, dense, loop_closing
         See the classes.
     """
 
@@ -47,6 +48,7 @@ class Config(BaseModel):
     localisation: LocalisationConfig = Field(default_factory=LocalisationConfig)
     absolute: AbsoluteConfig = Field(default_factory=AbsoluteConfig)
     dense: DenseStereoConfig = Field(default_factory=DenseStereoConfig)
+    loop_closing: LoopClosingConfig = Field(default_factory=LoopClosingConfig)
 
 
 def read_config(path: Path) -> Config:

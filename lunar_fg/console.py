@@ -23,6 +23,9 @@ def run_summary(name: str, metrics: Metrics, folder: Path) -> str:
         parts.append(f"{metrics.ate_rmse_m.sim3:.3f} m (Sim3)")
     if metrics.kitti.translation_percent is not None:
         parts.append(f"drift {metrics.kitti.translation_percent:.2f} %")
+    for what, believed in (("fixes", metrics.fixes), ("loops", metrics.loop_closures)):
+        if believed is not None:
+            parts.append(f"{believed.accepted} of {believed.tried} {what} believed")
     if "total" in metrics.timing_ms:
         parts.append(f"{metrics.timing_ms['total'].median:.0f} ms a frame")
     return f"{name}: {', '.join(parts)}; results in {folder}"

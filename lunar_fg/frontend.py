@@ -59,6 +59,8 @@ class Frontend:
         self.perception = StereoPerception(camera, config.stereo, detector)
         self.positioning = RelativePositioning(camera, config.relative, config.seed)
         self.records: list[FrameRecord] = []
+        #: What describes the newest keyframe's landmarks, in their order.
+        self.features: StereoFeatures | None = None
         self._tracker = LandmarkTracker(camera, config.tracking)
         self._unusable: dict[str, Episodes] = {}
         self._dead_camera = DeadCamera()
@@ -77,6 +79,7 @@ class Frontend:
             When the images do not fit the camera, or left and right look swapped.
         """
         taken, frame = frame, self._refuse_dead(frame)
+        self.features = None
         odometry = self._motion.odometry(frame)
         prediction = self._motion.predict(frame)
         if isinstance(frame, UnusableFrame):
@@ -92,6 +95,7 @@ class Frontend:
             standing = zero_motion(relative)
             if standing is None:
                 observations = self._tracker.commit(features, tracks, relative)
+                self.features = features
             else:
                 observations, relative = None, standing
             report, unusable = _report(features, relative), ""

@@ -14,6 +14,7 @@ from typing import Any, Self
 from frontends.camera import StereoCamera
 from frontends.errors import InputError
 from frontends.measurements import Estimate, StartPrior
+from frontends.revisit import Place
 from lunar_fg.checkpoint import Checkpoint
 from lunar_fg.folder_lock import FolderLock
 from lunar_fg.graph.keyframe import Keyframe
@@ -27,6 +28,7 @@ from lunar_fg.log_fixes import (
     rows_of_decision,
     rows_of_ledger,
 )
+from lunar_fg.log_places import PLACE_QUERY, PLACE_TABLE, place_of, row_of_place
 from lunar_fg.log_rows import (
     KEYFRAME_TABLES,
     TABLES,
@@ -37,7 +39,7 @@ from lunar_fg.log_rows import (
 )
 from lunar_fg.record import FrameRecord
 
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 
 
 class TraverseLog:
@@ -56,6 +58,7 @@ class TraverseLog:
         self._db = connection
         self._rows = RowReader(path)
         self._lock: FolderLock | None = None
+        self._within = False
 
     @classmethod
     def create(cls, path: Path, header: RunHeader) -> Self:
@@ -75,9 +78,8 @@ class TraverseLog:
             log._lock = lock
             log._db.execute("PRAGMA journal_mode=WAL")
             log._db.execute("PRAGMA synchronous=NORMAL")
-            log._db.executescript(
-                f"BEGIN;{TABLES}{FIX_TABLES}PRAGMA user_version={SCHEMA_VERSION};COMMIT;"
-            )
+            tables = f"{TABLES}{FIX_TABLES}{PLACE_TABLE}"
+            log._db.executescript(f"BEGIN;{tables}PRAGMA user_version={SCHEMA_VERSION};COMMIT;")
             log._write_header(header)
         except sqlite3.Error as error:
             if log is not None:
@@ -239,6 +241,17 @@ class TraverseLog:
             self._keep(checkpoint, keyframe.index)
             self._insert_decisions(decisions)
 
+    def append_place(self, place: Place) -> None:
+        """Write what a keyframe saw of a place that may be recognised again.
+
+        Raises
+        ------
+        InputError
+            The file cannot be written.
+        """
+        with self._transaction():
+            self._insert(place.frame, [row_of_place(place)])
+
     def append_decisions(self, decisions: Sequence[FixDecision]) -> None:
         """Write what was decided on map measurements, all or nothing.
 
@@ -259,6 +272,7 @@ class TraverseLog:
         entries: Sequence[tuple[Keyframe, Estimate]],
         checkpoint: Checkpoint | None = None,
         ledger: Sequence[LedgerEntry] = (),
+        places: Iterable[Place] = (),
     ) -> None:
         """Replace everything by these, all or nothing: the first keyframes were re-measured.
 
@@ -268,11 +282,12 @@ class TraverseLog:
             The file cannot be written; the old keyframes are kept.
         """
         with self._transaction():
-            for table in (*FIX_TABLE_NAMES, *KEYFRAME_TABLES):
+            for table in (*FIX_TABLE_NAMES, "place", *KEYFRAME_TABLES):
                 self._db.execute(f"DELETE FROM {table}")
             for keyframe, estimate in entries:
                 self._insert(keyframe.index, rows_of(keyframe, estimate))
             self._insert(-1, rows_of_ledger(ledger))
+            self._insert(-1, (row_of_place(place) for place in places))
             self._keep(checkpoint, entries[-1][0].index if entries else -1)
 
     def _insert(self, frame: int, rows: Iterable[tuple[str, tuple[object, ...]]]) -> None:
@@ -291,7 +306,26 @@ class TraverseLog:
             self._db.execute("INSERT OR REPLACE INTO checkpoint VALUES (1, ?, ?)", values)
 
     @contextmanager
+    def together(self) -> Iterator[None]:
+        """Make all that is written within one entry, all or nothing.
+
+        Raises
+        ------
+        InputError
+            The file cannot be written.
+        """
+        with self._transaction():
+            self._within = True
+            try:
+                yield
+            finally:
+                self._within = False
+
+    @contextmanager
     def _transaction(self) -> Iterator[None]:
+        if self._within:
+            yield
+            return
         try:
             self._db.execute("BEGIN IMMEDIATE")
             try:
@@ -311,6 +345,10 @@ class TraverseLog:
         """Read every map measurement with its verdicts, in the order in which they came."""
         measurements, candidates, rulings = (self._query(query) for query in FIX_QUERIES)
         return ledger_of(measurements, candidates, rulings, self._rows, str(self._path))
+
+    def places(self) -> list[Place]:
+        """Read what was kept of places, in frame order."""
+        return [place_of(row, self._rows, self._path) for row in self._query(PLACE_QUERY)]
 
     def keyframes(self) -> list[Keyframe]:
         """Read all measurements in frame order."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -14,15 +15,17 @@ from frontends.errors import InputError
 from frontends.measurements import Estimate, StartPrior, StereoFrame, UnusableFrame
 from frontends.orbital import OrbitalMap
 from frontends.rectification import RectificationError
+from frontends.revisit import Place
 from lunar_fg.checkpoint import Checkpoint
 from lunar_fg.config import Config
 from lunar_fg.frontend import Frontend
 from lunar_fg.graph.feed import feed
 from lunar_fg.graph.incremental import IncrementalSmoother
 from lunar_fg.graph.keyframe import Keyframe
-from lunar_fg.graph.ledger import LedgerEntry
+from lunar_fg.graph.ledger import FixDecision, LedgerEntry
 from lunar_fg.localisation import Localisation
 from lunar_fg.log import TraverseLog
+from lunar_fg.loop_closing import LoopClosing
 from lunar_fg.order import FrameOrder
 from lunar_fg.record import FrameReport, dead_reckoning_of
 from lunar_fg.self_calibration import SelfCalibration
@@ -89,6 +92,12 @@ class Navigator:
         self.keyframe: Keyframe | None = None
         self._order = FrameOrder(camera)
         self._smoother = self._new_smoother()
+        self.loops = None
+        if self.config.loop_closing.use:
+            self.loops = LoopClosing(
+                camera, self.rover_T_camera, self.config.loop_closing, self.config.relative,
+                self.config.seed,
+            )  # fmt: skip
         self.localisation = None if orbital is None else Localisation(
             camera, self.rover_T_camera, orbital,
             self.config.localisation, self.config.absolute, self.config.dense,
@@ -104,7 +113,7 @@ class Navigator:
             nothing that was estimated is lost.
         """
         self._order.check(frame)
-        with self.stopwatch.frame():
+        with self.stopwatch.frame(), self._one_entry():
             keyframe = self.keyframe = self._frontend.measure(frame)
             with self.stopwatch.stage("graph"):
                 estimate = self._smoother.add(keyframe)
@@ -115,6 +124,9 @@ class Navigator:
             if self._calibration.watch(keyframe):
                 with self.stopwatch.stage("self-calibration"):
                     estimate = self._recalibrate()
+            elif self.loops is not None:
+                with self.stopwatch.stage("loop closing"):
+                    estimate = self._close_loop(self.loops, keyframe, estimate)
             if self.localisation is not None:
                 with self.stopwatch.stage("absolute fix"):
                     estimate = self._localise(frame, keyframe, estimate)
@@ -163,6 +175,10 @@ class Navigator:
         elif [k for k in keyframes if self._calibration.watch(k)]:
             last = self._recalibrate()
             self.frames_lost += last.lost
+        if self.loops is not None:
+            self.loops.restore(
+                self._log.places(), (f.estimate for f in self._log.frames()), self._smoother.ledger
+            )
         if self.localisation is not None:
             self.localisation.restore(
                 frames,
@@ -235,16 +251,37 @@ class Navigator:
         # before the calibration is settled, the ground may have another scale
         if not new_ground or self._calibration.watching:
             return estimate
-        decision = self.localisation.fix(self._smoother)
+        return self._judged(self.localisation.fix(self._smoother), estimate, "absolute fix")
+
+    def _close_loop(self, loops: LoopClosing, keyframe: Keyframe, estimate: Estimate) -> Estimate:
+        """Keep what is seen of this place, and recognise it if the rover was here before."""
+        features = self._frontend.features
+        place = loops.observe(keyframe, features, estimate)
+        if place is None or features is None:
+            return estimate
+        if self._log is not None:
+            self._log.append_place(place)
+        # before the calibration is settled, old and new places may have another scale
+        if self._calibration.watching:
+            return estimate
+        decision = loops.close(self._smoother, keyframe, features, estimate)
+        return self._judged(decision, estimate, "loop closure")
+
+    def _judged(self, decision: FixDecision | None, estimate: Estimate, name: str) -> Estimate:
+        """Log a verdict, and say where the rover is after it."""
         if decision is None:
             return estimate
         if self._log is not None:
             self._log.append_decisions([decision])
         latest = self._smoother.predicted(estimate.index)
-        used = (*estimate.used, "absolute fix") if decision.accepted else estimate.used
+        used = (*estimate.used, name) if decision.accepted else estimate.used
         return replace(
             estimate, map_T_rover=latest.map_T_rover, covariance=latest.covariance, used=used
         )
+
+    def _one_entry(self) -> AbstractContextManager[None]:
+        """All that a frame writes into the log is written or lost together."""
+        return nullcontext() if self._log is None else self._log.together()
 
     def _checkpoint(self) -> Checkpoint:
         return replace(
@@ -266,11 +303,15 @@ class Navigator:
         ]
         self._frontend.adopt(finding.field_px, keyframes)
         self._calibration.forget()
+        places: list[Place] = []
+        if self.loops is not None:
+            places = self.loops.corrected(keyframes)
+            self.loops.restore(places, (e for _, e in entries), smoother.ledger)
         if self.localisation is not None:
             self.localisation.correct(RectificationError(disparity_px=finding.field_px))
         self._corrected = True
         if self._log is not None:
-            self._log.rewrite(entries, self._checkpoint(), smoother.ledger)
+            self._log.rewrite(entries, self._checkpoint(), smoother.ledger, places)
         self._smoother = smoother
         self.frames_lost = sum(estimate.lost for _, estimate in entries[:-1])
         return entries[-1][1]

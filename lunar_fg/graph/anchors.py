@@ -7,6 +7,7 @@ the analytic derivative, so that a correlation of position and yaw is kept too.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import gtsam
@@ -72,7 +73,11 @@ class Anchor:
 
     def pose(self, values: gtsam.Values) -> FloatArray:
         """(4, 4) of the keyframe."""
-        ends = [np.asarray(values.atPose3(key).matrix()) for key in self.keys]
+        return self.at({key: np.asarray(values.atPose3(key).matrix()) for key in self.keys})
+
+    def at(self, map_T: Mapping[int, FloatArray]) -> FloatArray:
+        """(4, 4) of the keyframe, from the poses of its keys."""
+        ends = [map_T[key] for key in self.keys]
         return ends[0] if self.spread is None else self.spread.pose(ends[0], ends[1])
 
     def by_keys(self) -> FloatArray:
@@ -126,6 +131,37 @@ def height_factor(
         return np.array([pose[2, 3] - height_m])
 
     return gtsam.CustomFactor(noise, list(anchor.keys), error)
+
+
+def motion_between(
+    first: Anchor, second: Anchor, map_T: Mapping[int, FloatArray], joint: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Motion between two keyframes as the whole graph has it, and its covariance.
+
+    Parameters
+    ----------
+    first, second
+        Where they are.
+    map_T
+        (4, 4) poses by key, of all their keys.
+    joint
+        (6 n, 6 n) joint covariance of these n keys, in the order of `map_T`.
+
+    Returns
+    -------
+    tuple of FloatArray
+        (4, 4) pose of the second in the first, and (6, 6), axes of the second.
+    """
+    motion = inverse(first.at(map_T)) @ second.at(map_T)
+    back = adjoint(inverse(motion))
+    whole = np.zeros((6, 6 * len(map_T)))
+    keys = list(map_T)
+    for anchor, by in ((first, -back @ first.by_keys()), (second, second.by_keys())):
+        for i, key in enumerate(anchor.keys):
+            at = 6 * keys.index(key)
+            whole[:, at : at + 6] += by[:, 6 * i : 6 * i + 6]
+    covariance = whole @ joint @ whole.T + back @ first.rest() @ back.T + second.rest()
+    return motion, 0.5 * (covariance + covariance.T)
 
 
 def _fill(jacobians: list[FloatArray], whole: FloatArray) -> None:

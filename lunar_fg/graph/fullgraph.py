@@ -11,7 +11,7 @@ import numpy as np
 from frontends.camera import StereoCamera
 from frontends.errors import EstimationError
 from frontends.measurements import FloatArray, StartPrior
-from lunar_fg.graph.anchors import Anchor
+from lunar_fg.graph.anchors import Anchor, motion_between
 from lunar_fg.graph.config import GraphConfig
 from lunar_fg.graph.factors import between_factor, pose_key, start_factor
 from lunar_fg.graph.isam import GuardedIsam
@@ -154,6 +154,16 @@ class FullGraph:
     def anchor(self, ordinal: int) -> Anchor:
         """Where in the graph a keyframe is."""
         return Anchor((pose_key(ordinal),))
+
+    def pose(self, ordinal: int) -> FloatArray:
+        """(4, 4) of a keyframe."""
+        return self._isam.pose(pose_key(ordinal))
+
+    def between(self, first: int, second: int) -> tuple[FloatArray, FloatArray]:
+        """Motion between two keyframes as all says that is known, and its covariance."""
+        ends = self.anchor(first), self.anchor(second)
+        poses = {key: self._isam.pose(key) for end in ends for key in end.keys}
+        return motion_between(*ends, poses, self._isam.joint_covariance(*poses))
 
     def motion(self, first: int, second: int) -> Planar:
         """Planar motion between two keyframes, no fix in it."""

@@ -20,6 +20,7 @@ from frontends.measurements import (
     StereoObservations,
     Tilt,
 )
+from frontends.relative import MotionPrediction
 from lunar_fg.graph import kernels
 from lunar_fg.graph.checks import check_covariance, check_fix, check_height, check_pose, check_size
 from lunar_fg.graph.config import GraphConfig
@@ -70,6 +71,10 @@ class _Graph(FixGraph, Protocol):
     def finish(self) -> None: ...
 
     def latest(self) -> tuple[FloatArray, FloatArray]: ...
+
+    def pose(self, ordinal: int) -> FloatArray: ...
+
+    def between(self, first: int, second: int) -> tuple[FloatArray, FloatArray]: ...
 
     def trajectory(self) -> tuple[FloatArray, FloatArray]: ...
 
@@ -209,6 +214,28 @@ class IncrementalSmoother:
             Its covariance cannot be computed.
         """
         return PredictedPose(frame, *self._graph.at(self._ordinal(frame)))
+
+    def pose(self, frame: int) -> FloatArray:
+        """Pose (4, 4) of any keyframe so far, as smoothed by now.
+
+        Raises
+        ------
+        InputError
+            There is no such keyframe.
+        """
+        return self._graph.pose(self._ordinal(frame))
+
+    def between(self, i: int, j: int) -> MotionPrediction:
+        """Motion between two keyframes as all says that is known, fixes and closures too.
+
+        Raises
+        ------
+        InputError
+            There is no such keyframe.
+        EstimationError
+            They are too close to each other to tell yet, or the covariance failed.
+        """
+        return MotionPrediction(*self._graph.between(self._ordinal(i), self._ordinal(j)))
 
     def motion(self, i: int, j: int) -> Planar:
         """Planar motion between two keyframes by the rover's own measurements, no fix in it.

@@ -281,12 +281,11 @@ class GuardedIsam:
         """Marginal covariance of a pose, (6, 6)."""
         return self._marginal(lambda isam: np.asarray(isam.marginalCovariance(key)))
 
-    def joint_covariance(self, first: int, second: int) -> FloatArray:
-        """Joint covariance of two poses, (12, 12), first then second."""
+    def joint_covariance(self, *keys: int) -> FloatArray:
+        """Joint covariance of n poses, (6 n, 6 n), in the order given."""
 
         def joint(isam: gtsam.ISAM2) -> FloatArray:
-            marginal = isam.jointMarginalCovariance([first, second])
-            keys = (first, second)
+            marginal = isam.jointMarginalCovariance(list(keys))
             return np.block([[marginal.at(a, b) for b in keys] for a in keys])
 
         return self._marginal(joint)

@@ -12,7 +12,7 @@ from frontends.camera import StereoCamera
 from frontends.errors import EstimationError, InputError
 from frontends.geometry import adjoint, inverse
 from frontends.measurements import FloatArray, StartPrior, Tilt
-from lunar_fg.graph.anchors import Anchor, spread
+from lunar_fg.graph.anchors import Anchor, motion_between, spread
 from lunar_fg.graph.config import GraphConfig
 from lunar_fg.graph.factors import (
     between_factor,
@@ -160,6 +160,33 @@ class SegmentGraph:
             return Anchor((pose_key(number),))
         ends = (pose_key(number), pose_key(number + 1))
         return Anchor(ends, spread(self._solutions[number], position))
+
+    def pose(self, ordinal: int) -> FloatArray:
+        """(4, 4) of a keyframe; an open segment stays open."""
+        begin = self._begins[-1]
+        if ordinal > begin and self._segment is not None:
+            return np.asarray(self.pose(begin) @ self._segment.chain()[ordinal - begin - 1][0])
+        anchor = self.anchor(ordinal)
+        return anchor.at({key: self._isam.pose(key) for key in anchor.keys})
+
+    def between(self, first: int, second: int) -> tuple[FloatArray, FloatArray]:
+        """Motion between two keyframes as all says that is known; an open segment stays open.
+
+        Raises
+        ------
+        EstimationError
+            When both lie in the open segment.
+        """
+        begin = self._begins[-1]
+        if first > begin:
+            raise EstimationError("both keyframes lie in the segment that is open")
+        ends = self.anchor(first), self.anchor(min(second, begin))
+        keys = dict.fromkeys((*ends[0].keys, *ends[1].keys))
+        poses = {key: self._isam.pose(key) for key in keys}
+        motion, covariance = motion_between(*ends, poses, self._isam.joint_covariance(*keys))
+        if second <= begin or self._segment is None:
+            return motion, covariance
+        return compose(motion, covariance, *self._segment.chain()[second - begin - 1])
 
     def motion(self, first: int, second: int) -> Planar:
         """Planar motion between two keyframes in closed segments, no fix in it."""

@@ -16,7 +16,7 @@ from lunar_fg.evaluation.plots import STAGES
 from lunar_fg.evaluation.top_view import LEGIBLE, MAGNIFICATIONS
 from lunar_fg.frame_table import FrameTable
 from lunar_fg.geo_export import ellipse_axes, ellipse_outlines
-from lunar_fg.graph.ledger import LedgerEntry
+from lunar_fg.graph.ledger import LedgerEntry, LoopClosure
 from lunar_fg.report.against_truth import AgainstTruth
 from lunar_fg.report.orbital_image import MapPicture
 from lunar_fg.results import RunResults
@@ -99,6 +99,7 @@ def map_figure(
             x=at[:, 0], y=at[:, 1], mode="markers", name="motion not measured",
             marker={"symbol": "x", "color": ALARM, "size": 8},
         )  # fmt: skip
+    _closures(figure, results)
     _fixes(figure, results.ledger)
     ends = xy[[0, -1]]
     figure.add_scatter(
@@ -325,6 +326,26 @@ def _ellipses(figure: go.Figure, track: Trajectory) -> None:
         x=points[:, 0], y=points[:, 1], name=name, mode="lines", hoverinfo="skip",
         line={"color": ESTIMATE, "width": 1}, fill="toself", fillcolor="rgba(27,95,170,0.14)",
     )  # fmt: skip
+
+
+def _closures(figure: go.Figure, results: RunResults) -> None:
+    """Loop closures as lines between the keyframes that they tie, by verdict."""
+    row = {estimate.index: k for k, estimate in enumerate(results.estimates)}
+    xy = results.trajectory.positions
+    for verdict, colour in (("accepted", "#3b8a5a"), ("refused", ALARM)):
+        ends: list[list[float]] = []
+        for entry in results.ledger:
+            closure = entry.measurement
+            if isinstance(closure, LoopClosure) and entry.ruling.verdict.value == verdict:
+                ends += [*(xy[row[k], :2].tolist() for k in (closure.base, closure.frame))]
+                ends.append([np.nan, np.nan])
+        if ends:
+            x, y = np.array(ends).T
+            name = f"loop closure {verdict}"
+            figure.add_scatter(
+                x=x, y=y, mode="lines+markers", name=name, line={"color": colour, "width": 2},
+                marker={"size": 5},
+            )  # fmt: skip
 
 
 def _fixes(figure: go.Figure, ledger: Sequence[LedgerEntry]) -> None:

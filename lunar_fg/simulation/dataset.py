@@ -125,11 +125,12 @@ def write_traverse(
             "sun_azimuth_deg": spec.orbital.sun.azimuth_deg,
             "sun_elevation_deg": spec.orbital.sun.elevation_deg,
         },
-        "sun": {
+    }
+    if spec.later_sun is None:
+        content["sun"] = {
             "azimuth_deg": spec.sun.azimuth_deg,
             "elevation_deg": spec.sun.elevation_deg,
-        },
-    }
+        }
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=100)
     (folder / "traverse.yaml").write_text(text, encoding="utf-8")
 

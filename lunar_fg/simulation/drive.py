@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -23,6 +24,10 @@ FloatArray = NDArray[np.float64]
 _COSTLY_SLOPE = np.tan(np.deg2rad(6.0))
 #: The route's corners are rounded over so many metres.
 _ROUNDING_M = 2.5
+#: No two laps of a circuit are the same: 1-sigma of the way beside the track, and how soon it
+#: changes.
+_WEAVING_M = 0.3
+_WEAVING_LENGTH_M = 4.0
 #: Poses are found this close together and thinned to the stereo frames later.
 FINE_STEP_M = 0.05
 
@@ -52,8 +57,11 @@ class Drive:
 
 
 def region_of(spec: PathSpec) -> Extent:
-    """Where the drive can lead: from the map's zero to the east, m."""
+    """Where the drive can lead: from the map's zero to the east, or around, m."""
     side = spec.waypoint_offset_m + 12.0
+    if spec.circuit_m is not None:
+        radius = spec.circuit_m / math.tau
+        return (-radius - side, -side, radius + side, 2.0 * radius + side)
     return (-4.0, -side, spec.length_m + 4.0, side)
 
 
@@ -66,19 +74,47 @@ def plan_route(terrain: Terrain, spec: PathSpec, rng: np.random.Generator) -> Fl
     height = gaussian_filter(terrain.height(frame), 1.0)
     slope = np.hypot(*np.gradient(height))
     cost = 1.0 + (slope / _COSTLY_SLOPE) ** 3
-    count = max(int(spec.length_m // 30.0), 1)
-    stops = np.linspace(0.0, spec.length_m + 2.0, count + 1)
-    offsets = rng.uniform(-spec.waypoint_offset_m, spec.waypoint_offset_m, count + 1)
-    offsets[0] = 0.0
-    way = _cheapest_way(frame, cost, np.stack([stops, offsets], axis=1))
+    if spec.circuit_m is None:
+        way = _cheapest_way(frame, cost, _stops_east(spec, rng))
+    else:
+        lap = _cheapest_way(frame, cost, _stops_around(spec, spec.circuit_m, rng))
+        laps = math.ceil((spec.length_m + 2.0) / spec.circuit_m)
+        way = np.concatenate([lap, *[lap[1:]] * (laps - 1)])
     chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
     even = np.arange(0.0, chord[-1], 0.5)
     dense = np.stack([np.interp(even, chord, way[:, k]) for k in (0, 1)], axis=1)
     smooth = gaussian_filter1d(dense, _ROUNDING_M / 0.5, axis=0, mode="nearest")
+    if spec.circuit_m is not None:
+        smooth += _weaving(len(smooth), rng)
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(smooth, axis=0), axis=1))])
     keep = np.concatenate([[True], np.diff(length) > 1e-6])
     spline = CubicSpline(length[keep], smooth[keep])
     return np.asarray(spline(np.arange(0.0, length[-1], FINE_STEP_M)))
+
+
+def _stops_east(spec: PathSpec, rng: np.random.Generator) -> FloatArray:
+    count = max(int(spec.length_m // 30.0), 1)
+    stops = np.linspace(0.0, spec.length_m + 2.0, count + 1)
+    offsets = rng.uniform(-spec.waypoint_offset_m, spec.waypoint_offset_m, count + 1)
+    offsets[0] = 0.0
+    return np.stack([stops, offsets], axis=1)
+
+
+def _stops_around(spec: PathSpec, circuit_m: float, rng: np.random.Generator) -> FloatArray:
+    """Waypoints of one lap, counter-clockwise from the map's zero and back to it."""
+    count = max(int(circuit_m // 15.0), 4)
+    radius = circuit_m / math.tau
+    beside = min(spec.waypoint_offset_m, 0.25 * radius)
+    radii = radius + rng.uniform(-beside, beside, count + 1)
+    radii[[0, -1]] = radius
+    angle = np.linspace(-0.5 * math.pi, 1.5 * math.pi, count + 1)
+    return np.stack([radii * np.cos(angle), radius + radii * np.sin(angle)], axis=1)
+
+
+def _weaving(count: int, rng: np.random.Generator) -> FloatArray:
+    """How far a driver is beside the track, (N, 2), m; slow along the way, 0 at the start."""
+    noise = gaussian_filter1d(rng.standard_normal((count, 2)), _WEAVING_LENGTH_M / 0.5, axis=0)
+    return np.asarray((noise - noise[0]) * (_WEAVING_M / noise.std()))
 
 
 def drive_along(

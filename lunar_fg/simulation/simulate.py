@@ -43,6 +43,8 @@ class World:
     ----------
     terrain, scene
         The ground as a function, and as meshes with the rocks.
+    later_scene
+        The same under the later sun, where there is one: grains cast shadows in the texture.
     rocks
         Where they lie.
     drive
@@ -55,6 +57,7 @@ class World:
 
     terrain: Terrain
     scene: Scene
+    later_scene: Scene | None
     rocks: Rocks
     drive: Drive
     frames: NDArray[np.int64]
@@ -81,9 +84,13 @@ def build_world(spec: SimulationSpec) -> World:
     drive = drive_along(route, levels[-1], spec.path, spec.sensors.side_slip_per_slope)
     steps = np.arange(0.0, spec.path.length_m + 1e-6, spec.path.step_m)
     scene, rocks = _scene(spec, levels, route[::10])
+    later = None
+    if spec.later_sun is not None:
+        later, _ = _scene(spec.model_copy(update={"sun": spec.later_sun}), levels, route[::10])
     return World(
         terrain,
         scene,
+        later,
         rocks,
         drive,
         drive.nearest(steps),
@@ -124,8 +131,13 @@ def simulate(
     _write_maps(spec, world, folder, workers, tell)
     mount = camera_mount(spec.camera)
     poses = world.map_T_rover() @ mount
+    later = len(poses) if world.later_scene is None else len(poses) // 2
     photographer = _Photographer(world.scene, poses, spec, folder)
-    _each(photographer, range(len(poses)), workers, "stereo frames", tell)
+    _each(photographer, range(later), workers, "stereo frames", tell)
+    if world.later_scene is not None and spec.later_sun is not None:
+        other = spec.model_copy(update={"sun": spec.later_sun})
+        photographer = _Photographer(world.later_scene, poses, other, folder)
+        _each(photographer, range(later, len(poses)), workers, "later stereo frames", tell)
     dataset.write_spec(folder, spec)
 
 

@@ -118,7 +118,10 @@ class PathSpec(_Strict):
     speed_m_s
         Makes the time stamps.
     waypoint_offset_m
-        How far to the sides of the straight line the waypoints lie.
+        How far to the sides of the straight line (of the circle) the waypoints lie.
+    circuit_m
+        Circumference of a circle that is driven around until the length is reached, each time
+        a little beside the tracks before; None: a drive to the east.
     wheel_base_m, track_m
         Distances between the wheels' contacts, along and across.
     """
@@ -127,6 +130,7 @@ class PathSpec(_Strict):
     step_m: Positive = 1.5
     speed_m_s: Positive = 0.1
     waypoint_offset_m: NotNegative = 8.0
+    circuit_m: Annotated[float, Field(ge=10.0, le=2_000.0)] | None = None
     wheel_base_m: Positive = 1.2
     track_m: Positive = 1.0
 
@@ -193,12 +197,15 @@ class SimulationSpec(_Strict):
         Of every random choice.
     sun
         During the drive.
+    later_sun
+        During its second half; None: the same.
     depth
         Whether to write each left image's depth.
     """
 
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
     sun: SunSpec = SunSpec()
+    later_sun: SunSpec | None = None
     terrain: TerrainSpec = TerrainSpec()
     camera: CameraSpec = CameraSpec()
     path: PathSpec = PathSpec()

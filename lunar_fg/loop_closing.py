@@ -1,0 +1,325 @@
+"""When the rover is back at an old place, and what it sees there of the way between.
+
+The landmarks of a keyframe every few metres are kept (`frontends.revisit.Place`). When a later
+keyframe sees the same ground, the motion between both is measured anew and the graph judges it
+as it judges fixes. What makes a closed loop independent of the rest of the graph:
+
+- Each keyframe is in one closed loop at most, and two keyframes that share a tracked landmark
+  are never tied: no pixel says twice how two poses lie.
+- A loop is closed only where the graph knows the motion four times worse than the two views
+  tell it. The segments around either keyframe have used the same pixels; their share in what
+  the loop corrects is then below a sixteenth, and so is what the correlation could add.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import Annotated, ClassVar
+
+import numpy as np
+from annotated_types import Gt, Lt
+from numpy.typing import NDArray
+
+from frontends.camera import StereoCamera
+from frontends.errors import EstimationError
+from frontends.geometry import inverse
+from frontends.measurements import Estimate
+from frontends.relative import MotionPrediction, RelativeConfig
+from frontends.revisit import Place, Revisiting
+from frontends.stereo import StereoFeatures
+from lunar_fg.graph.incremental import IncrementalSmoother
+from lunar_fg.graph.keyframe import Keyframe
+from lunar_fg.graph.ledger import FixDecision, LedgerEntry, LoopClosure
+from lunar_fg.graph.planar import planar, planar_of, wrapped
+
+logger = logging.getLogger("lunar_fg.loop_closing")
+
+FloatArray = NDArray[np.float64]
+
+_LEAST_LANDMARKS = 30
+_MOST_LANDMARKS = 300
+#: Places are kept so often: share of the reach.
+_SPACING = 1.0 / 3.0
+#: A place is old when the rover has driven so many reaches since.
+_OLD = 3.0
+_SIGMAS = 3.0
+#: How many places are tried at a keyframe, and how many are looked at for that.
+_MOST_TRIED = 3
+_MOST_LOOKED_AT = 100
+#: The graph must know the motion so many times worse than two views tell it.
+_TELLING = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class LoopClosingConfig:
+    """When loops are closed.
+
+    Attributes
+    ----------
+    use
+        False: never.
+    view_change_deg
+        Largest change of view between an old place and now: of heading, and of the direction
+        in which a landmark at median depth is seen.
+    false_alarms
+        Loops closed by chance, a pair of views that share nothing.
+    memory_mb
+        For the kept landmarks; when it is full, every other place is let go.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
+
+    use: bool = True
+    view_change_deg: Annotated[float, Gt(0), Lt(90)] = 20.0
+    false_alarms: Annotated[float, Gt(0), Lt(1)] = 1e-6
+    memory_mb: Annotated[float, Gt(0)] = 64.0
+
+
+class _Column(IntEnum):
+    """What is known of a place: all in metres and radians."""
+
+    X = 0
+    Y = 1
+    YAW = 2
+    SIGMA = 3
+    """1-sigma of the position."""
+    YAW_SIGMA = 4
+    REACH = 5
+    """How far from here the place can be told again."""
+    DRIVEN = 6
+    """Length of the drive up to here."""
+
+
+class LoopClosing:
+    """Keeps places and recognises them.
+
+    Parameters
+    ----------
+    camera, rover_T_camera
+        The rectified pair and its place in the rover.
+    config
+        Settings.
+    relative
+        Settings of relative positioning.
+    seed
+        Of its random sampling.
+    """
+
+    def __init__(
+        self,
+        camera: StereoCamera,
+        rover_T_camera: FloatArray,
+        config: LoopClosingConfig | None = None,
+        relative: RelativeConfig | None = None,
+        seed: int = 0,
+    ) -> None:
+        self.config = config or LoopClosingConfig()
+        strict = replace(relative or RelativeConfig(), false_alarms=self.config.false_alarms)
+        self._camera = camera
+        self._rover_T_camera = rover_T_camera
+        self._revisiting = Revisiting(camera, strict, seed)
+        self._view_change = math.radians(self.config.view_change_deg)
+        self._places: list[Place] = []
+        self._bytes = 0
+        # Of each place where the rover was, as far as it knew then: see `_Column`.
+        self._table: FloatArray = np.empty((0, len(_Column)))
+        self._used: set[int] = set()
+        self._driven_m = 0.0
+        self._last: FloatArray | None = None
+        self._thinned = 1
+
+    @property
+    def places(self) -> list[Place]:
+        """What is kept, oldest first."""
+        return list(self._places)
+
+    def observe(
+        self, keyframe: Keyframe, features: StereoFeatures | None, estimate: Estimate
+    ) -> Place | None:
+        """Keep what a keyframe sees, where the rover has come far enough since the last place.
+
+        Parameters
+        ----------
+        keyframe
+            The newest one.
+        features
+            What describes its landmarks, in the same order; None where there are no images.
+        estimate
+            Where it is.
+
+        Returns
+        -------
+        Place or None
+            What is kept of it.
+        """
+        self._drive(estimate)
+        observations = keyframe.observations
+        if observations is None or features is None or len(observations) < _LEAST_LANDMARKS:
+            return None
+        if not self._is_far(planar(estimate.map_T_rover)):
+            return None
+        place = Place.of(keyframe.index, observations, features, _MOST_LANDMARKS)
+        depths = place.observations(self._camera).points_cam[:, 2]
+        self._keep(place, estimate, self._reach_m(depths))
+        return place
+
+    def close(
+        self,
+        smoother: IncrementalSmoother,
+        keyframe: Keyframe,
+        features: StereoFeatures,
+        estimate: Estimate,
+    ) -> FixDecision | None:
+        """Recognise an old place from a keyframe that was just kept, and let the graph judge.
+
+        Returns
+        -------
+        FixDecision or None
+            None where no old place was recognised.
+        """
+        closure = self.recognise(smoother, keyframe, features, estimate)
+        if closure is None:
+            return None
+        self._used |= {closure.base, closure.frame}
+        return smoother.add_relative(closure.base, closure.frame, closure.a_T_b, closure.covariance)
+
+    def recognise(
+        self,
+        smoother: IncrementalSmoother,
+        keyframe: Keyframe,
+        features: StereoFeatures,
+        estimate: Estimate,
+    ) -> LoopClosure | None:
+        """Motion from an old place to a keyframe that sees it again; None where there is none."""
+        observations = keyframe.observations
+        if observations is None:
+            return None
+        for place, reach_m in self._near(smoother, estimate)[:_MOST_TRIED]:
+            try:
+                motion = smoother.between(place.frame, keyframe.index)
+            except EstimationError:
+                continue
+            least = _TELLING * self._revisiting.least_sigma_m(place)
+            if _spread(motion.covariance) < least:
+                break  # of the others, too, the views can tell no more than is known
+            shared = np.isin(place.landmark_id, observations.landmark_id).any()
+            if shared or not self._may_see(motion, reach_m):
+                continue
+            prediction = motion.in_frames(inverse(self._rover_T_camera))
+            measured = self._revisiting.measure(place, observations, features, prediction)
+            if not measured.accepted:
+                continue
+            closed = measured.in_frames(self._rover_T_camera)
+            if _spread(closed.covariance) * _TELLING < _spread(motion.covariance):
+                logger.info(
+                    "keyframe %d: keyframe %d's place again, %d of %d landmarks agree",
+                    keyframe.index, place.frame, len(measured.inlier_ids), measured.correspondences,
+                )  # fmt: skip
+                return LoopClosure(place.frame, keyframe.index, closed.a_T_b, closed.covariance)
+        return None
+
+    def restore(
+        self, places: Iterable[Place], estimates: Iterable[Estimate], ledger: Iterable[LedgerEntry]
+    ) -> None:
+        """Stand as after these frames.
+
+        Parameters
+        ----------
+        places
+            All that were kept, in order.
+        estimates
+            As each frame came in.
+        ledger
+            Of the run.
+        """
+        self._places, self._bytes, self._thinned = [], 0, 1
+        self._table, self._used = self._table[:0], set()
+        self._driven_m, self._last = 0.0, None
+        by_frame = {place.frame: place for place in places}
+        for estimate in estimates:
+            self._drive(estimate)
+            place = by_frame.get(estimate.index)
+            if place is not None:
+                depths = place.observations(self._camera).points_cam[:, 2]
+                self._keep(place, estimate, self._reach_m(depths))
+        for entry in ledger:
+            if isinstance(entry.measurement, LoopClosure):
+                self._used |= {entry.measurement.base, entry.measurement.frame}
+
+    def corrected(self, keyframes: Iterable[Keyframe]) -> list[Place]:
+        """Places with a disparity error removed that was found, from the corrected keyframes."""
+        seen = {keyframe.index: keyframe.observations for keyframe in keyframes}
+        pairs = ((place, seen[place.frame]) for place in self._places)
+        return [place if by is None else place.corrected(by) for place, by in pairs]
+
+    def _drive(self, estimate: Estimate) -> None:
+        position = estimate.map_T_rover[:3, 3]
+        if self._last is not None:
+            self._driven_m += float(np.linalg.norm(position - self._last))
+        self._last = position
+
+    def _reach_m(self, depths: FloatArray) -> float:
+        return float(np.median(depths)) * math.tan(self._view_change)
+
+    def _is_far(self, xyyaw: FloatArray) -> bool:
+        if not self._places:
+            return True
+        last = self._table[-1]
+        turned = abs(wrapped(xyyaw[2] - last[_Column.YAW]))
+        moved = float(np.linalg.norm(xyyaw[:2] - last[:2]))
+        spacing = _SPACING * self._thinned
+        return moved >= spacing * last[_Column.REACH] or turned >= spacing * 2.0 * self._view_change
+
+    def _keep(self, place: Place, estimate: Estimate, reach_m: float) -> None:
+        here = planar_of(estimate.map_T_rover, estimate.covariance)
+        position = float(np.linalg.eigvalsh(here.covariance[:2, :2])[-1])
+        sigma = np.sqrt(np.maximum([position, here.covariance[2, 2]], 0.0))
+        row = np.concatenate([here.xyyaw, sigma, [reach_m, self._driven_m]])
+        self._places.append(place)
+        self._table = np.vstack([self._table, row])
+        self._bytes += place.nbytes
+        if self._bytes > self.config.memory_mb * 1e6:
+            self._places, self._table = self._places[::2], self._table[::2]
+            self._bytes = sum(kept.nbytes for kept in self._places)
+            self._thinned *= 2
+
+    def _near(self, smoother: IncrementalSmoother, estimate: Estimate) -> list[tuple[Place, float]]:
+        """Old places that the rover may see now, the most alike view first, with their reach."""
+        here, table = planar_of(estimate.map_T_rover, estimate.covariance), self._table
+        reach = table[:, _Column.REACH]
+        position = math.sqrt(float(np.linalg.eigvalsh(here.covariance[:2, :2])[-1]))
+        sigma = table[:, _Column.SIGMA] + position
+        yaw_sigma = table[:, _Column.YAW_SIGMA] + math.sqrt(float(here.covariance[2, 2]))
+        distance = np.linalg.norm(table[:, :2] - here.xyyaw[:2], axis=1)
+        turned = np.abs(np.angle(np.exp(1j * (table[:, _Column.YAW] - here.xyyaw[2]))))
+        possible = self._driven_m - table[:, _Column.DRIVEN] >= _OLD * reach
+        possible &= distance <= reach + _SIGMAS * sigma
+        possible &= turned <= self._view_change + _SIGMAS * yaw_sigma
+        rows = np.flatnonzero(possible)
+        views = []
+        for row in rows[np.argsort(distance[rows], kind="stable")[:_MOST_LOOKED_AT]]:
+            place = self._places[row]
+            if place.frame in self._used:
+                continue
+            off = planar(smoother.pose(place.frame)) - here.xyyaw
+            change = float(np.linalg.norm(off[:2]) / reach[row])
+            change += abs(wrapped(float(off[2]))) / self._view_change
+            views.append((change, place, float(reach[row])))
+        views.sort(key=lambda view: view[0])
+        return [(place, reach_m) for _, place, reach_m in views]
+
+    def _may_see(self, motion: MotionPrediction, reach_m: float) -> bool:
+        """Whether the old view and the new one can be near enough for the same landmarks."""
+        x, y, yaw = planar(motion.a_T_b)
+        yaw_sigma = math.sqrt(float(motion.covariance[2, 2]))
+        near = math.hypot(x, y) <= reach_m + _SIGMAS * _spread(motion.covariance)
+        return near and abs(yaw) <= self._view_change + _SIGMAS * yaw_sigma
+
+
+def _spread(covariance: FloatArray) -> float:
+    """Largest 1-sigma of the translation, m."""
+    return math.sqrt(max(float(np.linalg.eigvalsh(covariance[3:, 3:])[-1]), 0.0))
