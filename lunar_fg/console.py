@@ -7,8 +7,10 @@ from pathlib import Path
 
 from rich.table import Table
 
+from frontends.measurements import Verdict
 from lunar_fg.evaluation import Accuracy, Metrics
 from lunar_fg.graph.convergence import ConvergenceReport
+from lunar_fg.run_folder import RunFolder
 
 
 def run_summary(name: str, metrics: Metrics, folder: Path) -> str:
@@ -23,12 +25,24 @@ def run_summary(name: str, metrics: Metrics, folder: Path) -> str:
         parts.append(f"{metrics.ate_rmse_m.sim3:.3f} m (Sim3)")
     if metrics.kitti.translation_percent is not None:
         parts.append(f"drift {metrics.kitti.translation_percent:.2f} %")
-    for what, believed in (("fixes", metrics.fixes), ("loops", metrics.loop_closures)):
-        if believed is not None:
-            parts.append(f"{believed.accepted} of {believed.tried} {what} believed")
+    parts += _believed(folder)
     if "total" in metrics.timing_ms:
         parts.append(f"{metrics.timing_ms['total'].median:.0f} ms a frame")
     return f"{name}: {', '.join(parts)}; results in {folder}"
+
+
+def _believed(folder: Path) -> list[str]:
+    """How many of the fixes and loop closures in a run's log are believed."""
+    # brings in the graph, which tables alone do not need
+    from lunar_fg.ledger import read_ledger, verdicts
+
+    run = RunFolder.open(folder)
+    if not run.database_path.is_file():
+        return []
+    return [
+        f"{given.count(Verdict.ACCEPTED)} of {len(given)} {what} believed"
+        for what, given in verdicts(read_ledger(run)).items()
+    ]
 
 
 def accuracy_table(trajectories: Mapping[str, Accuracy]) -> Table:

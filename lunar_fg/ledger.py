@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterable
 from typing import Any
 
-from frontends.measurements import AbsoluteFix
+from frontends.measurements import AbsoluteFix, Verdict
 from lunar_fg.config import Config
 from lunar_fg.graph.feed import feed
 from lunar_fg.graph.incremental import IncrementalSmoother
-from lunar_fg.graph.ledger import FixDecision, Height, LedgerEntry
+from lunar_fg.graph.ledger import FixDecision, Height, LedgerEntry, LoopClosure
 from lunar_fg.log import TraverseLog
 from lunar_fg.run_folder import RunFolder
 from lunar_fg.runs import as_trajectory
@@ -26,6 +27,15 @@ def read_ledger(folder: RunFolder) -> list[LedgerEntry]:
     """
     with TraverseLog.open(folder.database_path) as log:
         return log.ledger()
+
+
+def verdicts(ledger: Iterable[LedgerEntry]) -> dict[str, list[Verdict]]:
+    """Verdicts that hold, by what was judged: ``fixes`` (and heights), ``loop closures``."""
+    found: dict[str, list[Verdict]] = {}
+    for entry in ledger:
+        loop = isinstance(entry.measurement, LoopClosure)
+        found.setdefault("loop closures" if loop else "fixes", []).append(entry.ruling.verdict)
+    return found
 
 
 def overrule(

@@ -13,16 +13,15 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from frontends.errors import InputError, LunarFgError
-from frontends.measurements import AbsoluteFix, Estimate, StereoFrame, UnusableFrame, Verdict
+from frontends.measurements import Estimate, StereoFrame, UnusableFrame
 from lunar_fg.config import Config
 from lunar_fg.datasets.base import Dataset, GroundTruth
-from lunar_fg.evaluation import Accuracy, Believed, Metrics, evaluate, share_start, without_truth
+from lunar_fg.evaluation import Accuracy, Metrics, evaluate, share_start, without_truth
 from lunar_fg.evaluation.plots import write_plots
 from lunar_fg.frame_table import FrameTable
 from lunar_fg.graph.batch import optimize_batch
 from lunar_fg.graph.convergence import ConvergenceReport
 from lunar_fg.graph.keyframe import SmoothedTrajectory
-from lunar_fg.graph.ledger import LedgerEntry, LoopClosure, MapMeasurement
 from lunar_fg.log import TraverseLog
 from lunar_fg.log_entries import RunHeader, Sitting
 from lunar_fg.navigator import Navigator
@@ -414,8 +413,6 @@ def _conclude(
         warnings=warnings,
         route=None if route is None else route.summary(),
         dead_reckoning=None if by_wheels is None else compare(by_wheels, truth),
-        fixes=_believed(navigator.ledger, AbsoluteFix),
-        loop_closures=_believed(navigator.ledger, LoopClosure),
     )
     folder.write_metrics(metrics)
     if route is not None:
@@ -431,11 +428,6 @@ def _conclude(
         name=dataset.name,
     )
     return metrics
-
-
-def _believed(ledger: Iterable[LedgerEntry], kind: type[MapMeasurement]) -> Believed | None:
-    verdicts = [entry.ruling.verdict for entry in ledger if isinstance(entry.measurement, kind)]
-    return Believed(verdicts.count(Verdict.ACCEPTED), len(verdicts)) if verdicts else None
 
 
 def _timing(navigator: Navigator) -> dict[str, NDArray[np.float64]]:

@@ -93,14 +93,6 @@ class Accuracy:
 
 
 @dataclass(frozen=True, slots=True)
-class Believed:
-    """How many fixes, or loop closures, were believed in the end, and how many there were."""
-
-    accepted: int
-    tried: int
-
-
-@dataclass(frozen=True, slots=True)
 class Metrics:
     """Everything in ``metrics.json``, in its order."""
 
@@ -118,8 +110,6 @@ class Metrics:
     warnings: tuple[str, ...]
     route: RouteSummary | None = None
     dead_reckoning: Accuracy | None = None
-    fixes: Believed | None = None
-    loop_closures: Believed | None = None
 
     @classmethod
     def of_run(
@@ -133,8 +123,6 @@ class Metrics:
         warnings: Sequence[str] = (),
         route: RouteSummary | None = None,
         dead_reckoning: Accuracy | None = None,
-        fixes: Believed | None = None,
-        loop_closures: Believed | None = None,
     ) -> Metrics:
         """Metrics of a run from its accuracy and what was counted a frame.
 
@@ -155,8 +143,6 @@ class Metrics:
             Of the drive along a planned route, where there was one.
         dead_reckoning
             Of the same drive by wheels and attitude alone, where there were wheels.
-        fixes, loop_closures
-            Verdicts, where there were any.
         """
         figures = {f.name: getattr(accuracy, f.name) for f in fields(Accuracy)}
         figures["warnings"] = (*warnings, *accuracy.warnings)
@@ -173,8 +159,6 @@ class Metrics:
             matches={name: float(np.median(n)) for name, n in counts.items() if n.size},
             route=route,
             dead_reckoning=dead_reckoning,
-            fixes=fixes,
-            loop_closures=loop_closures,
             **figures,
         )
 

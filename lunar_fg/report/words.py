@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from frontends.measurements import Estimate, Verdict
-from lunar_fg.graph.ledger import LoopClosure
+from lunar_fg.ledger import verdicts
 from lunar_fg.report.against_truth import AgainstTruth
 from lunar_fg.results import RunResults
 
@@ -48,9 +48,9 @@ def cards(results: RunResults, compared: AgainstTruth | None) -> list[Card]:
         found.append(Card(metres(end), "", "error at the end"))
         if driven > 0.0:
             found.append(Card(f"{100.0 * end / driven:.2f}", "%", "of the distance, at the end"))
-    for what, verdicts in _verdicts(results).items():
-        believed = verdicts.count(Verdict.ACCEPTED)
-        found.append(Card(f"{believed}", f"of {len(verdicts)}", f"{what} believed"))
+    for what, given in verdicts(results.ledger).items():
+        believed = given.count(Verdict.ACCEPTED)
+        found.append(Card(f"{believed}", f"of {len(given)}", f"{what} believed"))
     ate = (results.metrics.get("ate_rmse_m") or {}).get("se3")
     if ate is not None:
         found.append(Card(metres(ate), "", "ATE, SE(3)-aligned"))
@@ -81,25 +81,15 @@ def sentences(results: RunResults, compared: AgainstTruth | None) -> list[str]:
         found.append(
             f"The covariances are too {wrong}: errors are about {factor} times as large as stated."
         )
-    for what, verdicts in _verdicts(results).items():
-        if refused := verdicts.count(Verdict.REFUSED):
-            found.append(
-                f"{refused} of {len(verdicts)} {what} were refused; the reasons are below."
-            )
+    for what, given in verdicts(results.ledger).items():
+        if refused := given.count(Verdict.REFUSED):
+            share = f"{refused} of {len(given)} {what}"
+            found.append(f"{share} were refused; the reasons are below.")
     found += (results.metrics.get("route") or {}).get("alarms", ())
     found += [w for w in _warnings(results) if not _ABOUT_FIGURES.match(w)]
     if results.truth is not None and compared is None:
         found.append("The truth does not fit the run in time or shape: nothing was compared.")
     return [text[:1].upper() + text[1:] for text in found]
-
-
-def _verdicts(results: RunResults) -> dict[str, list[Verdict]]:
-    """Verdicts that hold, by what was judged."""
-    found: dict[str, list[Verdict]] = {}
-    for entry in results.ledger:
-        loop = isinstance(entry.measurement, LoopClosure)
-        found.setdefault("loop closures" if loop else "fixes", []).append(entry.ruling.verdict)
-    return found
 
 
 def remarks(results: RunResults) -> list[str]:
