@@ -174,7 +174,7 @@ def landmark_errors(path: Path) -> dict[str, float]:
         depth = np.load(path / "truth" / "depth" / f"{frame.index:06d}.npy").astype(np.float64)
         depth = cv2.remap(
             depth, seen.u_left.astype(np.float32), seen.v.astype(np.float32), cv2.INTER_LINEAR
-        )[:, 0]
+        ).ravel()
         error = seen.disparity_px - camera.fx * camera.baseline_m / depth
         errors += list(error)
         scaled += list(error / seen.sigma_disparity_px)

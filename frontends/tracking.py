@@ -209,6 +209,15 @@ class LandmarkTracker:
         )
         return Tracks(points, memory.covariance[chosen], observations, matches.train)
 
+    def in_view(self, prediction: MotionPrediction) -> int:
+        """How many landmarks of the previous frame a predicted motion leaves in the picture."""
+        memory = self._memory
+        if memory is None:
+            return 0
+        points_b = predicted_points(prediction, memory.points[memory.unseen == 0])
+        u_left, _, v = self.camera.project(points_b[points_b[:, 2] > 1e-3]).T
+        return int(self.camera.contains(u_left, v, 0.0).sum())
+
     def commit(
         self, features: StereoFeatures, tracks: Tracks, relative: RelativePose
     ) -> StereoObservations:

@@ -19,7 +19,7 @@ from lunar_fg.config import Config
 from lunar_fg.dead_reckoning import DeadReckoning
 from lunar_fg.graph.keyframe import Keyframe
 from lunar_fg.motion import MotionModel, tilt_of
-from lunar_fg.plausibility import DeadCamera, Episodes, Plausibility
+from lunar_fg.plausibility import DeadCamera, Episodes, Plausibility, same_ground, was_carried
 from lunar_fg.record import FrameRecord, FrameReport, Sensors
 from lunar_fg.standstill import zero_motion
 from lunar_fg.stopwatch import Stopwatch
@@ -84,13 +84,14 @@ class Frontend:
         prediction = self._motion.predict(frame)
         if isinstance(frame, UnusableFrame):
             relative = _unmeasured(prediction, frame.reason)
-            observations = None
+            observations, shared = None, False
             self._tracker.skip(relative)
             report, unusable = FrameReport(), frame.reason
             self._note_unusable(frame.index, frame.reason)
         else:
             with self._stopwatch.stage("stereo"):
                 features = self.perception.perceive(frame)
+            shared = same_ground(self._tracker.in_view(prediction), len(features))
             tracks, relative = self._locate(features, prediction)
             standing = zero_motion(relative)
             if standing is None:
@@ -108,7 +109,7 @@ class Frontend:
         tilt = self._plausibility.tilt(frame.index, tilt_of(frame), relative)
         if len(self.records) == 1:
             return Keyframe(frame.index, frame.stamp_s, observations, tilt=tilt)
-        odometry = self._plausibility.odometry(frame.index, odometry, relative)
+        odometry = self._plausibility.odometry(frame.index, odometry, relative, same_ground=shared)
         if observations is None and relative.accepted:  # standing still: nothing new
             odometry = tilt = None
         return Keyframe(frame.index, frame.stamp_s, observations, relative, odometry, tilt)
@@ -174,7 +175,7 @@ class Frontend:
     def _relive(self, frames: Sequence[tuple[Keyframe, FrameRecord]]) -> None:
         """Bring all that follows from the measurements to where these frames leave it."""
         self._motion = MotionModel(self._rover_T_camera, self._config.motion)
-        self._plausibility = Plausibility(self._rover_T_camera)
+        self._plausibility = Plausibility(self._rover_T_camera, self._config.motion)
         self._dead_reckoning = DeadReckoning(self._start, self._config.motion)
         for keyframe, record in frames:
             sensors, relative = record.sensors, keyframe.relative
@@ -184,7 +185,10 @@ class Frontend:
             if relative is None:  # at the first frame
                 relative = _unmeasured(self._motion.predict(sensors), "")
             else:
-                self._plausibility.odometry(keyframe.index, odometry, relative)
+                self._plausibility.odometry(
+                    keyframe.index, odometry, relative,
+                    same_ground=was_carried(keyframe, self._config.motion),
+                )  # fmt: skip
             self._plausibility.tilt(keyframe.index, tilt_of(sensors), relative)
 
     def _note_unusable(self, frame: int, reason: str) -> None:
@@ -193,12 +197,12 @@ class Frontend:
     def _locate(
         self, features: StereoFeatures, prediction: MotionPrediction
     ) -> tuple[Tracks, RelativePose]:
-        """Track and position; where most tracks disagree, search wider and keep the best.
+        """Track and position; where most tracks disagree, search wider and believe that.
 
-        Near the predicted places even wrong matches agree a little with the prediction; a wider
-        search leaves them no such help.
+        Near the predicted places even wrong matches agree with each other: two views that have
+        nothing in common give a motion close to the prediction. A wider search leaves them no
+        such help, and still finds a motion that is true.
         """
-        best: tuple[Tracks, RelativePose] | None = None
         for reach in Reach if self._motion.known else (Reach.WIDE, Reach.ANYWHERE):
             with self._stopwatch.stage("tracking"):
                 tracks = self._tracker.associate(features, prediction, reach)
@@ -206,12 +210,9 @@ class Frontend:
                 relative = self.positioning.estimate(
                     tracks.points_a, tracks.covariance_a, tracks.observations_b, prediction
                 )
-            if best is None or len(relative.inlier_ids) > len(best[1].inlier_ids):
-                best = tracks, relative
             if relative.accepted and relative.wrong_match_rate < _MOST_WRONG:
                 break
-        assert best is not None
-        return best
+        return tracks, relative
 
 
 def _report(features: StereoFeatures, relative: RelativePose) -> FrameReport:

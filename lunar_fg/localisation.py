@@ -29,6 +29,8 @@ from frontends.terrain import DenseStereo, DenseStereoConfig, TerrainMap
 from lunar_fg.graph.incremental import IncrementalSmoother
 from lunar_fg.graph.ledger import FixDecision, LedgerEntry
 from lunar_fg.log_entries import LoggedFrame
+from lunar_fg.motion_config import MotionConfig
+from lunar_fg.plausibility import was_carried
 
 logger = logging.getLogger("lunar_fg.localisation")
 
@@ -84,7 +86,7 @@ class Localisation:
         The rectified pair and its place in the rover.
     orbital
         The map.
-    config, absolute, dense
+    config, absolute, dense, motion
         Settings.
     """
 
@@ -96,8 +98,10 @@ class Localisation:
         config: LocalisationConfig | None = None,
         absolute: AbsoluteConfig | None = None,
         dense: DenseStereoConfig | None = None,
+        motion: MotionConfig | None = None,
     ) -> None:
         self.config = config or LocalisationConfig()
+        self._motion = motion or MotionConfig()
         self.terrain = TerrainMap()
         self.attempts: list[Adjustment] = []
         self.adjustment = AbsoluteAdjustment(orbital, absolute)
@@ -156,6 +160,11 @@ class Localisation:
         self.terrain.add(self._dense.measure(frame, rectification, near))
         return True
 
+    def lose(self) -> None:
+        """Begin anew with ground: what was seen so far cannot be joined with what comes."""
+        self._stations, self._last = [], None
+        self._next_try_m = self._driven_m
+
     def restore(
         self,
         frames: Iterable[StereoFrame | UnusableFrame],
@@ -188,6 +197,8 @@ class Localisation:
             if frame.index not in logged:
                 break
             past = logged[frame.index]
+            if was_carried(past.keyframe, self._motion):
+                self.lose()
             # ground that a believed fix has used is not needed again
             used = frame.index <= settled and not isinstance(frame, UnusableFrame)
             self.observe(

@@ -45,6 +45,9 @@ class MotionConfig:
         Constant velocity: 1-sigma that is there at any speed.
     unknown_sigma_m, unknown_sigma_rad
         1-sigma of a motion of which nothing is known.
+    carried_sigma_m, carried_sigma_rad
+        The same where the images before and after have nothing in common, though by the wheels
+        they should show the same ground: the rover was carried, slid or fell.
     """
 
     __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
@@ -62,3 +65,5 @@ class MotionConfig:
     steady_sigma_rad: Sigma = 0.05
     unknown_sigma_m: Sigma = 1.0
     unknown_sigma_rad: Sigma = 0.3
+    carried_sigma_m: Sigma = 20.0
+    carried_sigma_rad: Sigma = 1.0

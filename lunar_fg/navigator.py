@@ -27,6 +27,7 @@ from lunar_fg.localisation import Localisation
 from lunar_fg.log import TraverseLog
 from lunar_fg.loop_closing import LoopClosing
 from lunar_fg.order import FrameOrder
+from lunar_fg.plausibility import was_carried
 from lunar_fg.record import FrameReport, dead_reckoning_of
 from lunar_fg.self_calibration import SelfCalibration
 from lunar_fg.stopwatch import Stopwatch
@@ -101,6 +102,7 @@ class Navigator:
         self.localisation = None if orbital is None else Localisation(
             camera, self.rover_T_camera, orbital,
             self.config.localisation, self.config.absolute, self.config.dense,
+            self.config.motion,
         )  # fmt: skip
 
     def step(self, frame: StereoFrame | UnusableFrame) -> Estimate:
@@ -244,6 +246,8 @@ class Navigator:
     ) -> Estimate:
         """Map the ground, and fix the rover to the orbital map where that is due."""
         assert self.localisation is not None
+        if was_carried(keyframe, self.config.motion):
+            self.localisation.lose()
         rectification = self._frontend.perception.rectification
         new_ground = self.localisation.observe(
             frame, keyframe.observations, rectification, estimate.map_T_rover

@@ -1,8 +1,7 @@
 """Do the sensors agree? What contradicts the images is not believed, and said.
 
-Three checks, each at a stated probability of a false alarm. They catch what a covariance
-cannot tell: wheels that spin on the spot, an inclinometer that jumps, a camera that repeats
-its last image.
+Checks of what a covariance cannot tell: wheels that spin on the spot, an inclinometer that
+jumps, a camera that repeats its last image, a rover that was carried.
 """
 
 from __future__ import annotations
@@ -18,6 +17,8 @@ from scipy.stats import chi2
 
 from frontends.geometry import inverse, se3_log
 from frontends.measurements import Image, Odometry, RelativePose, StereoFrame, Tilt
+from lunar_fg.graph.keyframe import Keyframe
+from lunar_fg.motion_config import MotionConfig
 
 FloatArray = NDArray[np.float64]
 
@@ -25,6 +26,9 @@ FloatArray = NDArray[np.float64]
 _FALSE_ALARM = 1e-5
 _LARGEST_TILT_SIGMA_RAD = 1.0
 _MOTION_GATE, _TILT_GATE = (float(chi2.isf(_FALSE_ALARM, df)) for df in (6, 2))
+#: Two views of so many landmarks each, on the same ground, have some in common: were only half
+#: of them found again, fewer than relative positioning needs (12) would be found once in 1e4.
+_ENOUGH_LANDMARKS = 50
 #: Noise is in every row: each eighth tells as well whether an image is a new one.
 _EVERY_ROW = 8
 
@@ -102,14 +106,21 @@ class Plausibility:
     ----------
     rover_T_camera
         (4, 4) pose of the left camera in the rover.
+    config
+        How uncertain a rover is that was carried.
     """
 
-    def __init__(self, rover_T_camera: FloatArray) -> None:
+    def __init__(self, rover_T_camera: FloatArray, config: MotionConfig | None = None) -> None:
         self._rover_T_camera = rover_T_camera
+        self._config = config or MotionConfig()
+        self._carried = Episodes(
+            "the images have nothing in common with those before, though by the wheels they show "
+            "the same ground: the rover was carried, or slid; where it is now, a fix must tell"
+        )
         self._slip = Episodes("wheels and images disagree on the motion: taken as wheel slip")
         self._unseen = Episodes(
             "the images do not show the motion since the frame before: it is by wheels alone, or "
-            "the last one again; a rover that was carried there is not where it seems to be"
+            "the last one again"
         )
         self._jump = Episodes("the attitude jumped and the images did not: roll and pitch left out")
         # Where down was when the inclinometer was last believed, rover axes, and its variance
@@ -121,20 +132,31 @@ class Plausibility:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What was not believed, one sentence a run of frames."""
-        found = (self._unseen, self._slip, self._jump)
+        found = (self._carried, self._unseen, self._slip, self._jump)
         return tuple(line for episodes in found for line in episodes.sentences())
 
     def odometry(
-        self, frame: int, odometry: Odometry | None, relative: RelativePose
+        self,
+        frame: int,
+        odometry: Odometry | None,
+        relative: RelativePose,
+        *,
+        same_ground: bool = False,
     ) -> Odometry | None:
         """Return the odometry, as uncertain as its disagreement with the images shows.
 
         Wheels slip, images that many landmarks agree on do not: where the two differ by more
         than their covariances allow, the difference itself becomes the wheels' uncertainty.
+        `same_ground` says that by the wheels both views show it; where the images nevertheless
+        have nothing in common, the wheels are not believed at all.
         """
         if not relative.accepted:
-            self._unseen.note(frame)
-            return odometry
+            if odometry is None or not same_ground:
+                self._unseen.note(frame)
+                return odometry
+            self._carried.note(frame)
+            sigmas = [self._config.carried_sigma_rad] * 3 + [self._config.carried_sigma_m] * 3
+            return replace(odometry, covariance=odometry.covariance + np.diag(np.square(sigmas)))
         if odometry is None:
             return None
         seen = relative.in_frames(self._rover_T_camera)
@@ -176,6 +198,27 @@ class Plausibility:
         seen = relative.in_frames(self._rover_T_camera)
         self._down = seen.a_T_b[:3, :3].T @ self._down
         self._variance += float(np.linalg.eigvalsh(seen.covariance[:3, :3])[-1])
+
+
+def same_ground(before: int, now: int) -> bool:
+    """Whether two views must have landmarks in common.
+
+    Parameters
+    ----------
+    before
+        Landmarks of the frame before that the wheels' motion leaves in the picture.
+    now
+        Landmarks of this frame.
+    """
+    return min(before, now) >= _ENOUGH_LANDMARKS
+
+
+def was_carried(keyframe: Keyframe, config: MotionConfig) -> bool:
+    """Whether nothing is known of the motion that led to a keyframe; see `Plausibility`."""
+    relative, odometry = keyframe.relative, keyframe.odometry
+    if relative is None or relative.accepted or odometry is None:
+        return False
+    return float(odometry.covariance[3, 3]) >= config.carried_sigma_m**2 > 0.0
 
 
 def _down(tilt: Tilt) -> FloatArray:

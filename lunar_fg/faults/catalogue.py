@@ -49,6 +49,7 @@ FAULTS: Mapping[str, Callable[[Span], Fault]] = MappingProxyType(
         "map-place": lambda span: WrongMap(span, MapError.PLACE),
         "map-scale": lambda span: WrongMap(span, MapError.SCALE),
         "map-rotated": lambda span: WrongMap(span, MapError.ROTATED),
+        "map-seam": lambda span: WrongMap(span, MapError.SEAM),
     }
 )
 

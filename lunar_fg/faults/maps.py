@@ -1,4 +1,4 @@
-"""Faults of the orbital map: another place, another scale, another orientation."""
+"""Faults of the orbital map: another place, scale or orientation, a seam."""
 
 from __future__ import annotations
 
@@ -19,6 +19,10 @@ class MapError(StrEnum):
     PLACE = "place"
     SCALE = "scale"
     ROTATED = "rotated"
+    SEAM = "seam"
+
+
+_SEAM_M = 6.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +33,9 @@ class WrongMap(SurroundingsOnly):
     ----------
     error
         `PLACE`: the right half stands where the left one belongs; `SCALE`: all is 1.3 times
-        as large; `ROTATED`: all is turned by 25 degrees about the middle.
+        as large; `ROTATED`: all is turned by 25 degrees about the middle; `SEAM`: the right
+        half, another strip of the mosaic, lies `_SEAM_M` too far down: false fixes that all
+        agree with each other.
     """
 
     error: MapError = MapError.PLACE
@@ -55,11 +61,19 @@ class WrongMap(SurroundingsOnly):
         with rasterio.open(target, "w", **profile) as sink:
             sink.update_tags(**tags)
             for number, band in enumerate(bands, start=1):
-                sink.write(self._moved(band), number)
+                sink.write(self._moved(band, abs(profile["transform"].e)), number)
         return target
 
-    def _moved(self, band: np.ndarray[tuple[int, ...], np.dtype[np.float32]]) -> object:
+    def _moved(
+        self, band: np.ndarray[tuple[int, ...], np.dtype[np.float32]], pixel_m: float
+    ) -> object:
         height, width = band.shape
+        if self.error is MapError.SEAM:
+            moved = band.copy()
+            moved[:, width // 2 :] = np.roll(
+                band[:, width // 2 :], round(_SEAM_M / pixel_m), axis=0
+            )
+            return moved
         if self.error is MapError.PLACE:
             return np.roll(band, width // 2, axis=1)
         scale, degrees = (1.3, 0.0) if self.error is MapError.SCALE else (1.0, 25.0)

@@ -85,6 +85,23 @@ def test_fixes_come_with_new_ground_and_hit_the_truth(world):
     assert abs(found[0].frame - found[1].frame) >= 19
 
 
+def test_ground_from_before_the_rover_was_carried_is_not_used(world):
+    z, ortho, _, poses = world
+    smoother = Smoother(poses)
+    localisation = Localisation(CAMERA, level_rover_T_camera(), OrbitalMap.open(ortho))
+    localisation._dense = Ground(z, poses)
+    image = np.zeros((48, 64), dtype=np.uint8)
+    for k, pose in poses.items():
+        if k == 15:
+            localisation.lose()
+        localisation.observe(
+            StereoFrame(k, float(k), image, image, CAMERA), None, RectificationError(), pose
+        )
+        localisation.fix(smoother)
+    # 20 m of ground make a fix: the first from frame 15 on, in its middle
+    assert smoother.fixes[0].frame >= 24
+
+
 def test_an_uncertain_rover_tries_earlier(world):
     estimate = world[3]
     unsure = Smoother(estimate, sigma_m=2.5)
@@ -146,7 +163,7 @@ def test_an_interrupted_run_goes_on_with_the_same_ground(world):
     frames = [StereoFrame(k, float(k), image, image, CAMERA) for k in estimate]
     logged = {
         k: SimpleNamespace(
-            keyframe=SimpleNamespace(observations=None),
+            keyframe=SimpleNamespace(observations=None, relative=None, odometry=None),
             estimate=SimpleNamespace(map_T_rover=pose),
         )
         for k, pose in first.items()

@@ -7,7 +7,15 @@ from synthetic import CAMERA, rover_T_camera
 
 from frontends.geometry import adjoint, inverse, pose, se3_exp, se3_log
 from frontends.measurements import Odometry, RelativePose, StereoFrame, Tilt, Verdict
-from lunar_fg.plausibility import DeadCamera, Episodes, Plausibility
+from lunar_fg.graph.keyframe import Keyframe
+from lunar_fg.motion_config import MotionConfig
+from lunar_fg.plausibility import (
+    DeadCamera,
+    Episodes,
+    Plausibility,
+    same_ground,
+    was_carried,
+)
 
 MOUNT = rover_T_camera()
 SIGMA = np.diag([1e-3, 1e-3, 1e-3, 2e-3, 2e-3, 2e-3]) ** 2
@@ -49,6 +57,23 @@ def test_slipping_wheels_get_the_uncertainty_of_their_slip():
     # nothing says that the wheels are wrong where the images say nothing
     assert plausibility.odometry(8, spinning, seen(STEP, accepted=False)) is spinning
     assert plausibility.warnings[0].startswith("frame 8: the images do not show the motion")
+
+
+def test_a_rover_that_was_carried_may_be_anywhere():
+    plausibility = Plausibility(MOUNT)
+    wheels = Odometry(STEP, WHEELS)
+    opened = plausibility.odometry(5, wheels, seen(STEP, accepted=False), same_ground=True)
+    assert np.sqrt(opened.covariance[3, 3]) > 15.0
+    assert np.sqrt(opened.covariance[2, 2]) > 0.9
+    assert was_carried(Keyframe(5, 5.0, None, seen(STEP, accepted=False), opened), MotionConfig())
+    assert "carried" in plausibility.warnings[0]
+    # seen ground is not carried, whatever the wheels' own uncertainty
+    assert not was_carried(Keyframe(6, 6.0, None, seen(STEP), opened), MotionConfig())
+    assert not was_carried(Keyframe(7, 7.0, None, None, wheels), MotionConfig())
+    # too few landmarks to expect any of them again
+    assert not same_ground(20, 400)
+    assert not same_ground(400, 20)
+    assert same_ground(60, 60)
 
 
 def tilts(truth, bias, rng):

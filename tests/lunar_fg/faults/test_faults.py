@@ -162,7 +162,7 @@ def test_a_wrong_baseline_is_wrong_everywhere(tmp_path):
     assert all(f.camera == dataset.camera for f in dataset.frames())
 
 
-@pytest.mark.parametrize("name", ["map-place", "map-scale", "map-rotated"])
+@pytest.mark.parametrize("name", ["map-place", "map-scale", "map-rotated", "map-seam"])
 def test_wrong_maps(name, tmp_path):
     rng = np.random.default_rng(0)
     image = rng.integers(0, 255, (60, 80)).astype(np.uint8)
