@@ -321,11 +321,11 @@ class FixJudge:
         assert case.factor is not None
         height = f"height of {case.name}"
         if case.chosen is not None:
-            leaving.append(case.name)
+            leaving.append(_factor_name(case, case.chosen))
             if case.chosen == 0 and case.height_fits:
                 leaving.append(height)
         if choice is not None:
-            entering[case.name] = case.factor(choice)
+            entering[_factor_name(case, choice)] = case.factor(choice)
             fix = case.measurement
             if choice == 0 and case.height_fits and isinstance(fix, AbsoluteFix):
                 assert fix.height_m is not None
@@ -391,6 +391,10 @@ class FixJudge:
             tuple(c.measurement.frame for c in fixes if c.chosen is not None),
             tuple(c.measurement.frame for c in fixes if c.chosen is None),
         )
+
+
+def _factor_name(case: _Case, choice: int) -> str:
+    return f"{case.name}, place {choice}"
 
 
 def _height_off(z_m: float, sigma_m: float, pose: FloatArray, covariance: FloatArray) -> float:

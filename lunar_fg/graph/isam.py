@@ -11,6 +11,7 @@ import numpy as np
 from frontends.errors import EstimationError
 from frontends.measurements import FloatArray
 from lunar_fg.graph.descent import descend, named_landmark, values_without, without
+from lunar_fg.graph.snapshots import Snapshot, Snapshots, moved_along
 
 _RELINEARIZE_SKIP = 10
 _MOST_SETTLING_STEPS = 100
@@ -20,7 +21,7 @@ _MOST_CARRYING_UPDATES = 6
 # What pybind11 turns GTSAM's C++ exceptions into.
 _GTSAM_ERRORS = (RuntimeError, ValueError, IndexError, KeyError)
 
-_POSE = ord("x")
+_POSE, _LANDMARK = ord("x"), ord("l")
 _MANY_LANDMARKS = 200
 
 _T = TypeVar("_T")
@@ -39,8 +40,10 @@ class GuardedIsam:
     qr
         Factorise by QR from the start. QR has no limit on how far loose directions drift;
         Cholesky is faster with many landmarks.
-    relinearize_threshold
-        Change of a variable (rad, m) past which it is linearised again.
+    relinearize_rad, relinearize_m
+        Changes of a pose past which it is linearised again; of a landmark the latter.
+    snapshots
+        How many copies from before the last map measurements are kept.
     unsound
         Names the landmarks that make a system with these values indeterminate; None where
         there are no landmarks.
@@ -50,11 +53,17 @@ class GuardedIsam:
         self,
         *,
         qr: bool,
-        relinearize_threshold: float = 0.05,
+        relinearize_rad: float = 0.05,
+        relinearize_m: float = 0.05,
+        snapshots: int = 1,
         unsound: Callable[[gtsam.Values], set[int]] | None = None,
     ) -> None:
         self._qr = qr
-        self._threshold = relinearize_threshold
+        self._thresholds = gtsam.ISAM2ThresholdMap()
+        of_pose = np.array([relinearize_rad] * 3 + [relinearize_m] * 3)
+        self._thresholds.insert((chr(_POSE), of_pose))
+        self._thresholds.insert((chr(_LANDMARK), np.full(3, relinearize_m)))
+        self._snapshots = Snapshots(snapshots)
         self._unsound = unsound or (lambda _: set())
         self._factors = gtsam.NonlinearFactorGraph()
         self._initial = gtsam.Values()
@@ -72,12 +81,13 @@ class GuardedIsam:
         params = gtsam.ISAM2Params()
         params.relinearizeSkip = _RELINEARIZE_SKIP
         params.enablePartialRelinearizationCheck = True
-        params.setRelinearizeThreshold(self._threshold)
+        params.setRelinearizeThreshold(self._thresholds)
         params.setFactorization("QR" if self._qr else "CHOLESKY")
         return gtsam.ISAM2(params)
 
     def _rebuild(self, values: gtsam.Values) -> None:
         isam = self._fresh()
+        self._snapshots.clear()
         if self._holes:
             self._renumber(set())
             self._factors, self._holes = without(self._factors, set()), False
@@ -123,36 +133,73 @@ class GuardedIsam:
     ) -> None:
         """Put named factors on known variables in, and take others out, by their index.
 
+        A name stands for one factor for good, in or out.
+
         Raises
         ------
         EstimationError
             When the graph cannot be solved so; it is as it was before the call.
         """
+        if leaving:
+            wanted = ({*self._named} - {*leaving}) | {*entering}
+            back = self._snapshots.take(wanted, int(self._factors.size()))
+            if back is not None and self._go_back(back, entering, wanted):
+                return
         before, factors = gtsam.ISAM2(self._isam), gtsam.NonlinearFactorGraph()
         for factor in entering.values():
             factors.add(factor)
         gone = [self._named[name] for name in leaving]
         try:
-            result = self._isam.update(factors, gtsam.Values(), gone, force_relinearize=True)
-            for _ in range(_MOST_CARRYING_UPDATES):
-                if not result.getVariablesRelinearized():
-                    break
-                result = self._isam.update(force_relinearize=True)
-            moved = [key for key in factors.keyVector() if _is_pose(key)]
-            if not all(np.isfinite(self.pose(key)).all() for key in moved):
-                raise ValueError("the estimate is not finite")
+            _carry(self._isam, factors, gtsam.Values(), gone)
         except _GTSAM_ERRORS as error:
             self._isam = before
             raise EstimationError(
                 f"keyframe {frame}: the map measurement could not be solved and is left out "
                 f"({_first_line(error)})"
             ) from error
+        if entering:
+            books = gtsam.NonlinearFactorGraph(self._factors)
+            self._snapshots.keep(Snapshot(before, books, dict(self._named)))
         for name in leaving:
             self._factors.remove(self._named.pop(name))
             self._holes = True
         for name, factor in entering.items():
             self._named[name] = int(self._factors.size())
             self._factors.add(factor)
+
+    def _go_back(
+        self,
+        back: Snapshot,
+        entering: Mapping[str, gtsam.NonlinearFactor],
+        wanted: Collection[str],
+    ) -> bool:
+        """Go on from a snapshot with what came since and is wanted; whether that can be solved."""
+        names = {slot: name for name, slot in self._named.items()}
+        named, books = dict(back.named), back.factors
+        since = gtsam.NonlinearFactorGraph()
+        for slot in range(books.size(), self._factors.size()):
+            name = names.get(slot)
+            if not self._factors.exists(slot):
+                continue
+            if name is not None:
+                if name in named or name not in wanted:
+                    continue
+                named[name] = int(books.size() + since.size())
+            since.add(self._factors.at(slot))
+        for name, factor in entering.items():
+            if name not in named:
+                named[name] = int(books.size() + since.size())
+                since.add(factor)
+        keys = list(since.keyVector())
+        new = [key for key in keys if not back.isam.valueExists(key)]
+        poses = {key for key in keys if _is_pose(key)}
+        try:
+            _carry(back.isam, since, moved_along(new, self._isam, back.isam, poses), [])
+        except _GTSAM_ERRORS:
+            return False
+        books.push_back(since)
+        self._isam, self._factors, self._named = back.isam, books, named
+        return True
 
     def start_anew(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
         """Drop everything but the named factors, and go on from these by QR.
@@ -198,6 +245,7 @@ class GuardedIsam:
             return
         # iSAM2 keeps an empty slot for a factor that has gone; so do the books.
         self._holes = True
+        self._snapshots.clear()
         for i in gone:
             self._factors.remove(i)
         self._initial = values_without(self._initial, landmarks)
@@ -252,6 +300,7 @@ class GuardedIsam:
                 reason = failure
                 continue
             self._renumber(aside)
+            self._snapshots.clear()
             self._isam, self._factors, self._initial = isam, whole, start
             self._holes = False
             if self._qr and not was_qr:
@@ -333,6 +382,23 @@ class GuardedIsam:
             self._named = named
             raise
         return end.set_aside
+
+
+def _carry(
+    isam: gtsam.ISAM2,
+    factors: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    gone: list[int],
+) -> None:
+    """Exchange factors, and linearise anew what moves; raises what GTSAM raises, or ValueError."""
+    result = isam.update(factors, values, gone, force_relinearize=True)
+    for _ in range(_MOST_CARRYING_UPDATES):
+        if not result.getVariablesRelinearized():
+            break
+        result = isam.update(force_relinearize=True)
+    for key in factors.keyVector():
+        if _is_pose(key) and not np.isfinite(isam.calculateEstimatePose3(key).matrix()).all():
+            raise ValueError("the estimate is not finite")
 
 
 def _ordered_last(factors: gtsam.NonlinearFactorGraph) -> gtsam.KeyGroupMap | None:

@@ -14,7 +14,7 @@ import numpy as np
 from frontends.errors import EstimationError
 from frontends.measurements import FloatArray, IntArray
 from lunar_fg.graph import kernels
-from lunar_fg.graph.planar import Planar, carried, turned
+from lunar_fg.graph.planar import Planar, composed, turned
 
 #: With a larger sigma, rad, a yaw is as good as not measured, and tells nothing of x and y.
 _NO_YAW_SIGMA = 0.5
@@ -62,10 +62,9 @@ class Network:
     """
 
     def __init__(self, start: Planar, motions: Sequence[Planar], claims: Sequence[Claim]) -> None:
-        here, path = start, [start.xyyaw]
+        path = [start.xyyaw]
         for motion in motions:
-            here = carried(here, motion)
-            path.append(here.xyyaw)
+            path.append(composed(path[-1], motion.xyyaw))
         #: (n, 3) by the motions alone.
         self.dead_reckoned: FloatArray = np.array(path)
         known = [start, *motions]

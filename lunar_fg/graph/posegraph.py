@@ -27,8 +27,10 @@ from lunar_fg.graph.planar import Planar, PlanarChain
 from lunar_fg.graph.segment import Segment, SegmentSolution
 from lunar_fg.graph.uprights import uprights
 
-#: rad, m. Poses alone cost little, and what a fix moved by metres must come back to millimetres.
-_RELINEARIZE_THRESHOLD = 0.005
+#: To second order a turn of 1 mrad puts the end of a kilometre off by 0.5 mm, a shift by 0.1 m
+#: together with it by 0.1 mm.
+_RELINEARIZE_RAD, _RELINEARIZE_M = 1e-3, 0.1
+_SNAPSHOTS = 6
 
 
 class SegmentGraph:
@@ -52,7 +54,12 @@ class SegmentGraph:
         self._start = start
         self._config = config
         # One pose in segment_keyframes: QR costs no more than Cholesky and has no 4096 rule.
-        self._isam = GuardedIsam(qr=True, relinearize_threshold=_RELINEARIZE_THRESHOLD)
+        self._isam = GuardedIsam(
+            qr=True,
+            relinearize_rad=_RELINEARIZE_RAD,
+            relinearize_m=_RELINEARIZE_M,
+            snapshots=_SNAPSHOTS,
+        )
         self._segment: Segment | None = None
         self._last: Keyframe | None = None
         self._tilts: dict[int, Tilt] = {}

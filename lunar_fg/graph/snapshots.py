@@ -1,0 +1,108 @@
+"""The smoother as it was before each of the last map measurements: to take one back is to go back.
+
+iSAM2 takes a factor out in a millisecond; but a false fix has moved every pose by metres, and
+linearising all of them anew, there and back, is what costs. Before it, nothing had moved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+import gtsam
+
+_MOST_FACTORS_SINCE = 500
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """iSAM2 and the books on it at one moment.
+
+    Attributes
+    ----------
+    isam
+        A copy that nobody else has.
+    factors
+        In iSAM2's slots; some may be empty.
+    named
+        Slots of the named factors.
+    """
+
+    isam: gtsam.ISAM2
+    factors: gtsam.NonlinearFactorGraph
+    named: Mapping[str, int]
+
+    def leads_to(self, wanted: Collection[str]) -> bool:
+        """Whether the wanted named factors are reached from here by adding some."""
+        return all(name in wanted for name in self.named)
+
+
+class Snapshots:
+    """The last few.
+
+    Parameters
+    ----------
+    most
+        How many are kept; one of 1,000 poses takes 1 MB.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._kept: list[Snapshot] = []
+
+    def keep(self, snapshot: Snapshot) -> None:
+        """Add the newest."""
+        self._kept = [*self._kept, snapshot][-self._most :]
+
+    def clear(self) -> None:
+        """Forget all: slots have been renumbered, or variables have gone."""
+        self._kept = []
+
+    def take(self, wanted: Collection[str], size: int) -> Snapshot | None:
+        """Find the newest that has nothing but what is wanted, and give it away.
+
+        Parameters
+        ----------
+        wanted
+            Names of the factors that there shall be.
+        size
+            Slots now.
+        """
+        for i in reversed(range(len(self._kept))):
+            snapshot = self._kept[i]
+            if size - int(snapshot.factors.size()) > _MOST_FACTORS_SINCE:
+                break
+            if snapshot.leads_to(wanted):
+                self._kept = self._kept[:i]
+                return snapshot
+        return None
+
+
+def moved_along(
+    keys: Collection[int], now: gtsam.ISAM2, then: gtsam.ISAM2, poses: Collection[int]
+) -> gtsam.Values:
+    """Where variables that came since would be, had the others stayed where they were then.
+
+    Parameters
+    ----------
+    keys
+        Variables that neither or only `now` has.
+    now, then
+        Of the two moments.
+    poses
+        Keys of poses around the new variables; the latest one that both have carries them.
+    """
+    values = gtsam.Values()
+    shared = [key for key in poses if then.valueExists(key)]
+    if not keys or not shared:
+        return values
+    carrier = max(shared)
+    shift = then.calculateEstimatePose3(carrier).compose(
+        now.calculateEstimatePose3(carrier).inverse()
+    )
+    for key in keys:
+        if key in poses:
+            values.insert(key, shift.compose(now.calculateEstimatePose3(key)))
+        else:
+            values.insert(key, shift.transformFrom(now.calculateEstimatePoint3(key)))
+    return values
