@@ -13,7 +13,6 @@ from frontends.measurements import FloatArray
 from lunar_fg.graph.descent import descend, named_landmark, values_without, without
 from lunar_fg.graph.snapshots import Snapshot, Snapshots, moved_along
 
-_RELINEARIZE_SKIP = 10
 _MOST_SETTLING_STEPS = 100
 _MOST_REPAIRS = 12
 #: Updates after a named factor came or went; each linearises anew what still moves.
@@ -42,6 +41,8 @@ class GuardedIsam:
         Cholesky is faster with many landmarks.
     relinearize_rad, relinearize_m
         Changes of a pose past which it is linearised again; of a landmark the latter.
+    relinearize_skip
+        At every which update that is looked at.
     snapshots
         How many copies from before the last map measurements are kept.
     unsound
@@ -55,6 +56,7 @@ class GuardedIsam:
         qr: bool,
         relinearize_rad: float = 0.05,
         relinearize_m: float = 0.05,
+        relinearize_skip: int = 10,
         snapshots: int = 1,
         unsound: Callable[[gtsam.Values], set[int]] | None = None,
     ) -> None:
@@ -63,6 +65,7 @@ class GuardedIsam:
         of_pose = np.array([relinearize_rad] * 3 + [relinearize_m] * 3)
         self._thresholds.insert((chr(_POSE), of_pose))
         self._thresholds.insert((chr(_LANDMARK), np.full(3, relinearize_m)))
+        self._skip = relinearize_skip
         self._snapshots = Snapshots(snapshots)
         self._unsound = unsound or (lambda _: set())
         self._factors = gtsam.NonlinearFactorGraph()
@@ -79,7 +82,7 @@ class GuardedIsam:
 
     def _fresh(self) -> gtsam.ISAM2:
         params = gtsam.ISAM2Params()
-        params.relinearizeSkip = _RELINEARIZE_SKIP
+        params.relinearizeSkip = self._skip
         params.enablePartialRelinearizationCheck = True
         params.setRelinearizeThreshold(self._thresholds)
         params.setFactorization("QR" if self._qr else "CHOLESKY")
@@ -121,6 +124,9 @@ class GuardedIsam:
         """
         try:
             self._isam.update(factors, values, [], _ordered_last(factors))
+            if self._skip == 1:
+                # A new pose that its attitude turned by much counts anew at once.
+                self._isam.update()
             _require_finite(self._isam, values)
         except _GTSAM_ERRORS as error:
             return self._recover(factors, values, frame, error)

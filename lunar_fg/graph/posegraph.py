@@ -58,6 +58,7 @@ class SegmentGraph:
             qr=True,
             relinearize_rad=_RELINEARIZE_RAD,
             relinearize_m=_RELINEARIZE_M,
+            relinearize_skip=1,
             snapshots=_SNAPSHOTS,
         )
         self._segment: Segment | None = None

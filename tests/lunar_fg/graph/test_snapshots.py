@@ -21,14 +21,16 @@ def fix(run, frame, off=0.0):
     return AbsoluteFix(frame, (FixCandidate(x + off, y, yaw, np.diag(SIGMAS**2)),))
 
 
-def driven(run, config, false_at, back_at, until=160):
-    smoother = IncrementalSmoother(run.camera, run.rover_T_camera, run.start, config)
-    for keyframe in run.keyframes[:until]:
+def driven(run, *, believed_from=None, back_at=None):
+    smoother = IncrementalSmoother(run.camera, run.rover_T_camera, run.start)
+    for keyframe in run.keyframes:
         smoother.add(keyframe)
         if keyframe.index and keyframe.index % 40 == 0:
             smoother.add_fix(fix(run, keyframe.index))
-        if keyframe.index == false_at:
+        if keyframe.index == FALSE:
+            # Refused, but a keyframe with a fix ends its segment.
             smoother.add_fix(fix(run, FALSE, 40.0))
+        if keyframe.index == believed_from:
             smoother.accept(FALSE)
         if keyframe.index == back_at:
             smoother.reject(FALSE)
@@ -45,9 +47,8 @@ def wheels():
 @pytest.mark.parametrize("back_at", [105, 112, 135])
 def test_taken_back_leaves_nothing(wheels, back_at, monkeypatch):
     """At once, some keyframes later, and after another fix; by a snapshot, and without one."""
-    config = GraphConfig()
-    never = driven(wheels, config, None, None).trajectory().map_T_rover[:, :3, 3]
-    believed = driven(wheels, config, 105, None).trajectory().map_T_rover[:, :3, 3]
+    never = driven(wheels).trajectory().map_T_rover[:, :3, 3]
+    believed = driven(wheels, believed_from=FALSE).trajectory().map_T_rover[:, :3, 3]
     assert np.linalg.norm(believed - never, axis=1).max() > 2.0
     went_back = []
     original = guarded.GuardedIsam._go_back
@@ -57,12 +58,14 @@ def test_taken_back_leaves_nothing(wheels, back_at, monkeypatch):
         return went_back[-1]
 
     monkeypatch.setattr(guarded.GuardedIsam, "_go_back", watched)
-    after = driven(wheels, config, 105, back_at).trajectory().map_T_rover[:, :3, 3]
+    after = driven(wheels, believed_from=FALSE, back_at=back_at).trajectory().map_T_rover[:, :3, 3]
     assert went_back
     assert all(went_back)
     assert np.linalg.norm(after - never, axis=1).max() < 1e-3
     monkeypatch.setattr(guarded.GuardedIsam, "_go_back", lambda *_: False)
-    without = driven(wheels, config, 105, back_at).trajectory().map_T_rover[:, :3, 3]
+    without = (
+        driven(wheels, believed_from=FALSE, back_at=back_at).trajectory().map_T_rover[:, :3, 3]
+    )
     assert np.linalg.norm(without - never, axis=1).max() < 5e-3
 
 
