@@ -198,7 +198,7 @@ class TraverseLog:
             values = astuple(sitting)
             values = (*values[:5], json.dumps(values[5:]))  # calibration, topics, faults
             marks = "(SELECT count(*) FROM sitting), ?, ?, ?, ?, ?, ?"
-            self._db.execute(f"INSERT INTO sitting VALUES ({marks})", values)
+            self._db.execute(f"INSERT INTO sitting VALUES ({marks})", values)  # noqa: S608  # see _insert
 
     def sittings(self) -> list[Sitting]:
         """Datasets of the run, in order."""
@@ -283,7 +283,7 @@ class TraverseLog:
         """
         with self._transaction():
             for table in (*FIX_TABLE_NAMES, "place", *KEYFRAME_TABLES):
-                self._db.execute(f"DELETE FROM {table}")
+                self._db.execute(f"DELETE FROM {table}")  # noqa: S608  # see _insert
             for keyframe, estimate in entries:
                 self._insert(keyframe.index, rows_of(keyframe, estimate))
             self._insert(-1, rows_of_ledger(ledger))
@@ -294,7 +294,8 @@ class TraverseLog:
         for table, values in rows:
             marks = ", ".join("?" * len(values))
             try:
-                self._db.execute(f"INSERT INTO {table} VALUES ({marks})", values)
+                # names of tables are constants of the program, values are bound
+                self._db.execute(f"INSERT INTO {table} VALUES ({marks})", values)  # noqa: S608
             except sqlite3.IntegrityError as error:
                 raise InputError(
                     "is in the log already", source=self._path, field=f"keyframe {frame}"
@@ -370,7 +371,7 @@ class TraverseLog:
     def frames(self) -> list[LoggedFrame]:
         """Read all that there is of each frame, in order."""
         sensors, counts, by_wheels = (
-            {row[0]: row for row in self._query(f"SELECT * FROM {table}")}
+            {row[0]: row for row in self._query(f"SELECT * FROM {table}")}  # noqa: S608
             for table in ("sensors", "counts", "dead_reckoning")
         )
         records = {

@@ -102,7 +102,7 @@ def write_report(folders: Sequence[RunFolder], path: Path) -> None:
     page = environment.get_template("page.html.j2").render(
         title=" / ".join(names) if len(names) < 4 else f"{len(names)} runs",
         version=__version__,
-        plotly=Markup(get_plotlyjs()),
+        plotly=Markup(get_plotlyjs()),  # noqa: S704  # code of the library
         sections=sections,
         comparison=_comparison(names, runs, compared) if len(runs) > 1 else None,
     )
@@ -258,7 +258,7 @@ def _figure(key: str, title: str, caption: str, figure: go.Figure) -> Figure:
     text = str(figure.to_json())
     for sign, code in _MARKUP.items():
         text = text.replace(sign, code)
-    return Figure(key, title, caption, Markup(text))
+    return Figure(key, title, caption, Markup(text))  # noqa: S704  # escaped above
 
 
 def _everything(results: RunResults, compared: AgainstTruth | None) -> Any:
