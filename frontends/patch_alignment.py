@@ -25,6 +25,8 @@ _HALF = 0.5 * _SIDE  # unit of the offsets within a patch, px
 _WINDOW_SIGMA_PX = 6.0
 #: Columns of the right image that a slanting patch may cover: the smallest image that is used.
 SPAN = 40
+#: Those that a patch which hardly slants covers.
+_NARROW = 24
 #: Unknowns: disparity, its change along u and v over `_HALF`, vertical shift, gain, bias.
 _UNKNOWNS = 6
 #: Cubic convolution; -0.6 has a fifth of the bias between pixels that -0.5 (Catmull-Rom) has.
@@ -93,31 +95,68 @@ def _differentiate(
 
 
 @njit
-def _products(WJ: Floats, row: int, J: Floats, out: FloatArray) -> None:
-    """Scalar products of one weighted column of the Jacobian with all six."""
-    first = _u64(row * _AREA)
+def _moments(R: Floats, WJ: Floats, out: FloatArray) -> None:
+    """Scalar products of an image patch with the six weighted columns of the Jacobian."""
     t0 = t1 = t2 = t3 = t4 = t5 = _f32(0)
     for k in range(_u64(_AREA)):
-        w = WJ[first + k]
-        t0 += w * J[k]
-        t1 += w * J[_u64(_AREA) + k]
-        t2 += w * J[_u64(2 * _AREA) + k]
-        t3 += w * J[_u64(3 * _AREA) + k]
-        t4 += w * J[_u64(4 * _AREA) + k]
-        t5 += w * J[_u64(5 * _AREA) + k]
+        r = R[k]
+        t0 += r * WJ[k]
+        t1 += r * WJ[_u64(_AREA) + k]
+        t2 += r * WJ[_u64(2 * _AREA) + k]
+        t3 += r * WJ[_u64(3 * _AREA) + k]
+        t4 += r * WJ[_u64(4 * _AREA) + k]
+        t5 += r * WJ[_u64(5 * _AREA) + k]
     out[0], out[1], out[2], out[3], out[4], out[5] = t0, t1, t2, t3, t4, t5
 
 
 @njit
-def _factorise(J: Floats, grid: Floats, WJ: Floats, products: FloatArray, L: FloatArray) -> bool:
+def _normal_matrix(WJ: Floats, J: Floats, L: FloatArray) -> None:
+    """Lower triangle of the scalar products of the weighted columns with the plain ones."""
+    p0, p1, p2, p3, p4 = _u64(0), _u64(_AREA), _u64(2 * _AREA), _u64(3 * _AREA), _u64(4 * _AREA)
+    p5 = _u64(5 * _AREA)
+    a0 = a1 = a2 = a3 = a4 = a5 = b1 = b2 = b3 = b4 = b5 = _f32(0)
+    for k in range(_u64(_AREA)):
+        w, x = WJ[p0 + k], WJ[p1 + k]
+        a0 += w * J[p0 + k]
+        a1 += w * J[p1 + k]
+        a2 += w * J[p2 + k]
+        a3 += w * J[p3 + k]
+        a4 += w * J[p4 + k]
+        a5 += w * J[p5 + k]
+        b1 += x * J[p1 + k]
+        b2 += x * J[p2 + k]
+        b3 += x * J[p3 + k]
+        b4 += x * J[p4 + k]
+        b5 += x * J[p5 + k]
+    c2 = c3 = c4 = c5 = d3 = d4 = d5 = e4 = e5 = f5 = _f32(0)
+    for k in range(_u64(_AREA)):
+        w, x, y = WJ[p2 + k], WJ[p3 + k], WJ[p4 + k]
+        c2 += w * J[p2 + k]
+        c3 += w * J[p3 + k]
+        c4 += w * J[p4 + k]
+        c5 += w * J[p5 + k]
+        d3 += x * J[p3 + k]
+        d4 += x * J[p4 + k]
+        d5 += x * J[p5 + k]
+        e4 += y * J[p4 + k]
+        e5 += y * J[p5 + k]
+        f5 += WJ[p5 + k]
+    L[0, 0], L[1, 0], L[2, 0], L[3, 0], L[4, 0], L[5, 0] = a0, a1, a2, a3, a4, a5
+    L[1, 1], L[2, 1], L[3, 1], L[4, 1], L[5, 1] = b1, b2, b3, b4, b5
+    L[2, 2], L[3, 2], L[4, 2], L[5, 2] = c2, c3, c4, c5
+    L[3, 3], L[4, 3], L[5, 3] = d3, d4, d5
+    L[4, 4], L[5, 4], L[5, 5] = e4, e5, f5
+
+
+@njit
+def _factorise(J: Floats, grid: Floats, WJ: Floats, L: FloatArray) -> bool:
     """Weighted Jacobian and the Cholesky factor (inverse diagonal) of the normal matrix."""
     for a in range(_UNKNOWNS):
         row = _u64(a * _AREA)
         for k in range(_u64(_AREA)):
             WJ[row + k] = grid[k] * J[row + k]
-        _products(WJ, a, J, products)
-        for b in range(a + 1):
-            L[a, b] = products[b]
+    _normal_matrix(WJ, J, L)
+    for a in range(_UNKNOWNS):
         L[a, a] += _PRIOR[a]
         least = 1e-6 * L[a, a] + 1e-6
         for b in range(a + 1):
@@ -148,8 +187,9 @@ def _solve(L: FloatArray, x: FloatArray) -> None:
 
 @njit
 def _rows_at(
-    right: NDArray[np.uint8], width: int, base: int, v: float, mean: np.float32, rows: Floats
-) -> None:
+    right: NDArray[np.uint8], width: int, base: int, v: float, mean: np.float32, slanting: bool,
+    rows: Floats,
+) -> None:  # fmt: skip
     """Rows of the right image at the patch's heights around v, from column `base` on."""
     first = int(np.floor(v - _MIDDLE))
     c, f = _CUBIC, _f32(v - _MIDDLE - first)
@@ -160,10 +200,17 @@ def _rows_at(
     row = _u64(width)
     for j in range(_SIDE):
         start, out = _u64((first + j) * width + base), _u64(j * SPAN)
-        for k in range(_u64(SPAN)):
+        for k in range(_u64(_NARROW)):
             x = start + k
             outer = w0 * _f32(right[x - row]) + w3 * _f32(right[x + row + row])
             rows[out + k] = outer + w1 * _f32(right[x]) + w2 * _f32(right[x + row]) - mean
+        if not slanting:
+            continue
+        for k in range(_u64(SPAN - _NARROW)):
+            x = start + _u64(_NARROW) + k
+            outer = w0 * _f32(right[x - row]) + w3 * _f32(right[x + row + row])
+            inner = w1 * _f32(right[x]) + w2 * _f32(right[x + row])
+            rows[out + _u64(_NARROW) + k] = outer + inner - mean
 
 
 @njit
@@ -190,7 +237,7 @@ def _sample(
     if min(base, first - 1) < 0 or last >= min(width, base + SPAN) or first + _SIDE >= height - 1:
         return False
     base = min(base, width - SPAN)
-    _rows_at(right, width, base, v, mean, rows)
+    _rows_at(right, width, base, v, mean, last > base + _NARROW, rows)
     per_column, per_row = -slope_u / _HALF, -slope_v / _HALF
     for j in range(_SIDE):
         # column i is at i + start + i per_column: most often in one or two whole steps from i,
@@ -241,7 +288,7 @@ def refine_all(
         if min(u, v) < 1 or u + _SIDE >= width or v + _SIDE >= height:
             continue
         mean = _differentiate(left_pixels, width, u, v, grid, J)
-        if not _factorise(J, grid, WJ, x, L):
+        if not _factorise(J, grid, WJ, L):
             continue
         d, vertical, slope_u, slope_v, gain = start[n, 2], 0.0, 0.0, 0.0, 1.0
         inside, converged, step, unexplained, variance = True, False, 0.0, 0.0, 0.0
@@ -256,7 +303,7 @@ def refine_all(
             for k in range(_u64(_AREA)):
                 total += grid[k] * R[k] * R[k]
             power = float(total)
-            _products(R, 0, WJ, moment)
+            _moments(R, WJ, moment)
             moment[1] -= _PRIOR[1] * gain * slope_u
             moment[2] -= _PRIOR[2] * gain * slope_v
             moment[3] -= _PRIOR[3] * gain * vertical
