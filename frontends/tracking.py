@@ -45,8 +45,8 @@ class TrackingConfig:
     ratio
         Largest ratio of nearest to second-nearest descriptor distance.
     scale_change_sigma
-        A feature's centre moves on the surface when its distance changes: 1-sigma as a
-        share of the feature's size, per unit of the logarithm of the distance.
+        A feature's centre walks over the surface while its distance changes: 1-sigma as a
+        share of the feature's size, per square root of the logarithm of the distance.
     surface_slope
         How much of that movement turns into disparity.
     """
@@ -57,8 +57,8 @@ class TrackingConfig:
     wide_search_fraction: Annotated[float, Gt(0), Le(1)] = 0.12
     max_unseen: Annotated[int, Ge(0)] = 2
     ratio: Annotated[float, Gt(0), Le(1)] = 0.85
-    scale_change_sigma: Annotated[float, Ge(0)] = 0.35
-    surface_slope: Annotated[float, Ge(0)] = 0.4
+    scale_change_sigma: Annotated[float, Ge(0)] = 0.08
+    surface_slope: Annotated[float, Ge(0)] = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +73,8 @@ class LandmarkMemory:
         (N, 3) m, (N, 3, 3) m^2.
     unseen
         (N,) frames since each was last seen.
+    first_depth_m, last_depth_m
+        (N,) how far each was when it was first and last seen.
     """
 
     landmark_id: NDArray[np.int64]
@@ -81,6 +83,8 @@ class LandmarkMemory:
     points: FloatArray
     covariance: FloatArray
     unseen: NDArray[np.int64]
+    first_depth_m: FloatArray
+    last_depth_m: FloatArray
 
     def __len__(self) -> int:
         return len(self.landmark_id)
@@ -94,6 +98,8 @@ class LandmarkMemory:
             self.points[keep],
             self.covariance[keep],
             self.unseen[keep],
+            self.first_depth_m[keep],
+            self.last_depth_m[keep],
         )
 
     def joined(self, other: LandmarkMemory) -> LandmarkMemory:
@@ -105,6 +111,8 @@ class LandmarkMemory:
             np.concatenate([self.points, other.points]),
             np.concatenate([self.covariance, other.covariance]),
             np.concatenate([self.unseen, other.unseen]),
+            np.concatenate([self.first_depth_m, other.first_depth_m]),
+            np.concatenate([self.last_depth_m, other.last_depth_m]),
         )
 
 
@@ -120,12 +128,15 @@ class Tracks:
         The M matched observations of the new frame, carrying the landmarks' ids.
     feature
         (M,) rows of the new frame's features.
+    first_depth_m
+        (M,) how far the landmarks were when they were first seen.
     """
 
     points_a: FloatArray
     covariance_a: FloatArray
     observations_b: StereoObservations
     feature: NDArray[np.int64]
+    first_depth_m: FloatArray
 
     def __len__(self) -> int:
         return len(self.feature)
@@ -182,6 +193,7 @@ class LandmarkTracker:
                 np.zeros((0, 3, 3)),
                 features.observations.select(nothing),
                 nothing,
+                np.zeros(0),
             )
         half = self._half_window_px(reach)
         points_b = predicted_points(prediction, memory.points)
@@ -200,14 +212,18 @@ class LandmarkTracker:
             ratio=self.config.ratio,
         )
         chosen = near[matches.query]
-        points = memory.points[chosen]
-        observations = self._as_tracked(
-            seen.select(matches.train),
-            memory.landmark_id[chosen],
-            points,
-            features.size_px[matches.train],
+        again = seen.select(matches.train)
+        observations = replace(
+            self._noisier(again, memory.last_depth_m[chosen], features.size_px[matches.train]),
+            landmark_id=memory.landmark_id[chosen],
         )
-        return Tracks(points, memory.covariance[chosen], observations, matches.train)
+        return Tracks(
+            memory.points[chosen],
+            memory.covariance[chosen],
+            observations,
+            matches.train,
+            memory.first_depth_m[chosen],
+        )
 
     def in_view(self, prediction: MotionPrediction) -> int:
         """How many landmarks of the previous frame a predicted motion leaves in the picture."""
@@ -235,18 +251,26 @@ class LandmarkTracker:
         StereoObservations
             All landmarks of the new frame, with ids.
         """
+        seen = features.observations
         ids = np.full(len(features), -1, dtype=np.int64)
-        sigma = features.observations.sigma_px.copy()
-        sigma_disparity = features.observations.sigma_disparity_px.copy()
+        first_depth = seen.points_cam[:, 2].copy()
         holds = np.isin(tracks.observations_b.landmark_id, relative.inlier_ids)
         tracked = tracks.feature[holds]
         ids[tracked] = tracks.observations_b.landmark_id[holds]
-        sigma[tracked] = tracks.observations_b.sigma_px[holds]
-        sigma_disparity[tracked] = tracks.observations_b.sigma_disparity_px[holds]
+        first_depth[tracked] = tracks.first_depth_m[holds]
         new = ids < 0
         ids[new] = self._next_id + np.arange(int(new.sum()))
         self._next_id += int(new.sum())
-        seen = features.observations
+        noisier = self._noisier(seen, first_depth, features.size_px)
+        observations = observe(
+            self.camera,
+            ids,
+            seen.u_left,
+            seen.v,
+            seen.disparity_px,
+            noisier.sigma_px,
+            noisier.sigma_disparity_px,
+        )
         current = LandmarkMemory(
             ids,
             features.descriptors,
@@ -254,9 +278,8 @@ class LandmarkTracker:
             seen.points_cam,
             seen.points_covariance,
             np.zeros(len(ids), dtype=np.int64),
-        )
-        observations = observe(
-            self.camera, ids, seen.u_left, seen.v, seen.disparity_px, sigma, sigma_disparity
+            first_depth,
+            seen.points_cam[:, 2],
         )
         older = self._carried(relative.a_T_b, ids)
         self._memory = current if older is None else current.joined(older)
@@ -289,21 +312,16 @@ class LandmarkTracker:
         share = self.config.search_fraction if near else self.config.wide_search_fraction
         return share * self.camera.width
 
-    def _as_tracked(
-        self,
-        seen: StereoObservations,
-        landmark_id: NDArray[np.int64],
-        points: FloatArray,
-        size_px: FloatArray,
+    def _noisier(
+        self, seen: StereoObservations, depth_m: FloatArray, size_px: FloatArray
     ) -> StereoObservations:
-        """Observations with the landmarks' ids and the noise of having come nearer."""
-        change = np.log(np.maximum(points[:, 2], 1e-6) / seen.points_cam[:, 2])
-        shift = self.config.scale_change_sigma * size_px * np.abs(change)
+        """Observations with the noise of features that were `depth_m` far once."""
+        change = np.abs(np.log(np.maximum(depth_m, 1e-6) / seen.points_cam[:, 2]))
+        walk = self.config.scale_change_sigma * size_px * np.sqrt(change)
         return replace(
             seen,
-            landmark_id=landmark_id,
-            sigma_px=np.hypot(seen.sigma_px, shift),
-            sigma_disparity_px=np.hypot(seen.sigma_disparity_px, self.config.surface_slope * shift),
+            sigma_px=np.hypot(seen.sigma_px, walk),
+            sigma_disparity_px=np.hypot(seen.sigma_disparity_px, self.config.surface_slope * walk),
         )
 
     def _carried(self, a_T_b: FloatArray, seen_again: NDArray[np.int64]) -> LandmarkMemory | None:

@@ -13,7 +13,10 @@ from frontends.disparity_check import DisparityFinding
 from frontends.rectification import RectificationError
 from frontends.tracking import LandmarkMemory
 
-_MEMORY = ("landmark_id", "descriptors", "laplacian", "points", "covariance", "unseen")
+_MEMORY = (
+    "landmark_id", "descriptors", "laplacian", "points", "covariance", "unseen",
+    "first_depth_m", "last_depth_m",
+)  # fmt: skip
 _FINDING = ("field_px", "border_px", "border_sigma_px", "chance", "significant", "pairs")
 
 
