@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
-from annotated_types import Ge, Gt, Lt
+from annotated_types import Ge, Gt, Le, Lt
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
@@ -42,6 +42,9 @@ class RelativeConfig:
         Scale of the Cauchy kernel, in sigmas.
     false_alarms
         Wrong motions accepted, a frame that shows none.
+    landmark_correlation
+        Between the errors of any two landmarks: they look at the same rocks under the same
+        light from the same side. N landmarks count for N / (1 + correlation N).
     """
 
     __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
@@ -52,6 +55,7 @@ class RelativeConfig:
     min_inliers: Annotated[int, Ge(3)] = 12
     kernel_sigma: Annotated[float, Gt(0)] = 2.0
     false_alarms: Annotated[float, Gt(0), Lt(1)] = 1e-3
+    landmark_correlation: Annotated[float, Ge(0), Le(1)] = 0.005
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,7 +264,8 @@ class RelativePositioning:
             return _refuse(prediction, count, "the landmarks do not fix all six motions")
         # right perturbation of the inverse: Ad of b_T_a, the sign squares away
         turn = adjoint(b_T_a)
-        covariance = turn @ covariance_b_T_a @ turn.T
+        shared = 1.0 + self.config.landmark_correlation * float(inlier.sum())
+        covariance = shared * turn @ covariance_b_T_a @ turn.T
         return RelativePose(
             inverse(b_T_a),
             0.5 * (covariance + covariance.T),

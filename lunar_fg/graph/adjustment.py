@@ -25,6 +25,8 @@ _STEP_SIGMA = 0.02
 #: descends with any factor below 2.
 _STRETCH = 1.4
 _LARGEST_DAMPING = 1e8
+#: Step of the derivative by an error of all disparities, px.
+_SHIFT_PX = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +70,8 @@ class Adjusted:
     covariance
         (6 (n-1), 6 (n-1)) of all poses but the first, each in its own body axes, relative
         to the first.
+    by_disparity
+        (6 (n-1),) how they change with an error of all disparities alike, per px.
     chi_square, degrees_of_freedom
         Robust cost doubled, and residuals less unknowns.
     iterations, converged
@@ -76,6 +80,7 @@ class Adjusted:
 
     poses: FloatArray
     covariance: FloatArray
+    by_disparity: FloatArray
     chi_square: float
     degrees_of_freedom: int
     iterations: int
@@ -84,9 +89,13 @@ class Adjusted:
 
 @dataclass(frozen=True, slots=True)
 class _System:
-    """Where the solver stands: cost, reduced normal equations, what recovers the landmarks."""
+    """Where the solver stands: cost, reduced normal equations, what recovers the landmarks.
+
+    The cost is minimised; `unshared` is that of landmarks whose errors have nothing in common.
+    """
 
     cost: float
+    unshared: float
     hessian: FloatArray
     gradient: FloatArray
     landmarks: tuple[FloatArray, FloatArray, FloatArray]
@@ -105,6 +114,8 @@ class WindowSolver:
         (n, 4, 4) initial poses of the camera in the window's frame; the first stays.
     robust_threshold_sigma
         Huber's threshold on the whitened residual of a sighting.
+    landmark_correlation
+        Between the errors of any two landmarks; see `GraphConfig`.
     """
 
     def __init__(
@@ -113,6 +124,7 @@ class WindowSolver:
         window: Window,
         poses: FloatArray,
         robust_threshold_sigma: float,
+        landmark_correlation: float = 0.0,
     ) -> None:
         self._window = window
         self._n = len(poses)
@@ -121,6 +133,7 @@ class WindowSolver:
         self._whiten = kernels.whiteners(window.sightings.covariance)
         first = np.flatnonzero(np.diff(window.landmark, prepend=-1))
         self._starts = np.append(first, len(window.landmark)).astype(np.int64)
+        self._share = 1.0 / (1.0 + landmark_correlation * (len(self._starts) - 1))
         motions = window.motions
         self._motion_ends = np.array([[m.first, m.second] for m in motions]).reshape(-1, 2)
         self._motion_back = inverse(_stacked([m.a_T_b for m in motions], 4))
@@ -131,23 +144,32 @@ class WindowSolver:
         points = np.einsum("lij,lj->li", poses[window.pose[first]], anchored)
         self._points = points / np.linalg.norm(points, axis=1, keepdims=True)
 
-    def _linearise(self, poses: FloatArray, points: FloatArray) -> _System:
+    def _linearise(
+        self, poses: FloatArray, points: FloatArray, disparity_px: float = 0.0
+    ) -> _System:
         window = self._window
+        uuv = window.sightings.uuv
         cost, hessian, gradient, *landmarks = kernels.linearise(
             self._lens,
             inverse(poses),
             points,
-            window.sightings.uuv,
+            uuv - (0.0, disparity_px, 0.0) if disparity_px else uuv,
             self._whiten,
             window.pose,
             self._starts,
             self._threshold,
         )
+        whitened = cost
+        cost *= self._share
+        hessian *= self._share
+        gradient *= self._share
         first, second = self._motion_ends.T.astype(np.int64)
         cost += kernels.add_motions(
             poses, first, second, self._motion_back, self._motion_roots, hessian, gradient
         )
-        return _System(cost, hessian, gradient, (landmarks[0], landmarks[1], landmarks[2]))
+        unshared = cost + (1.0 - self._share) * whitened
+        recovery = (landmarks[0], landmarks[1], landmarks[2])
+        return _System(cost, unshared, hessian, gradient, recovery)
 
     def _stepped(
         self,
@@ -196,9 +218,19 @@ class WindowSolver:
                 if damping > _LARGEST_DAMPING:
                     break
         covariance = inverse_positive(np.ascontiguousarray(system.hessian[6:, 6:]))
+        shifted = self._linearise(poses, points, _SHIFT_PX)
+        pull = (shifted.gradient - system.gradient)[6:] / _SHIFT_PX
         freedom = 3 * len(self._window.pose) - 3 * (len(self._starts) - 1) - 6 * (self._n - 1)
         freedom += 6 * len(self._window.motions)
-        return Adjusted(poses, covariance, 2.0 * system.cost, freedom, iterations, converged)
+        return Adjusted(
+            poses,
+            covariance,
+            -covariance @ pull,
+            2.0 * system.unshared,
+            freedom,
+            iterations,
+            converged,
+        )
 
 
 def _stacked(matrices: list[FloatArray], size: int) -> FloatArray:

@@ -90,14 +90,23 @@ class StereoFactors:
             camera.fx, camera.fy, 0.0, camera.cx, camera.cy, camera.baseline_m
         )
         self._rover_P_camera = gtsam.Pose3(rover_T_camera)
-        self._loss = gtsam.noiseModel.mEstimator.Huber.Create(robust_threshold_sigma)
+        self._threshold = robust_threshold_sigma
 
     def create(
-        self, pose: int, landmark: int, uuv: FloatArray, covariance: FloatArray
+        self,
+        pose: int,
+        landmark: int,
+        uuv: FloatArray,
+        covariance: FloatArray,
+        inflation: float = 1.0,
     ) -> gtsam.GenericStereoFactor3D:
-        """One factor; `uuv` (3,) px and `covariance` (3, 3) come checked from a keyframe."""
+        """One factor; `uuv` (3,) px and `covariance` (3, 3) come checked from a keyframe.
+
+        The factor's cost is divided by `inflation`; what it takes for an outlier stays the same.
+        """
+        loss = gtsam.noiseModel.mEstimator.Huber.Create(self._threshold / np.sqrt(inflation))
         noise = gtsam.noiseModel.Robust.Create(
-            self._loss, gtsam.noiseModel.Gaussian.Covariance(covariance)
+            loss, gtsam.noiseModel.Gaussian.Covariance(inflation * covariance)
         )
         measured = gtsam.StereoPoint2(uuv[0], uuv[1], uuv[2])
         return gtsam.GenericStereoFactor3D(

@@ -215,6 +215,7 @@ class WholeGraph:
         covariance = sightings.covariance
         sigma = np.sqrt(covariance[:, 0, 0] + covariance[:, 1, 1] - 2.0 * covariance[:, 0, 1])
         near = disparity > _LEAST_DISPARITY_SIGMA * sigma
+        inflation = 1.0 + self._config.landmark_correlation * len(self._known)
         for row, track in enumerate(tracks.tolist()):
             uuv, noise, key = sightings.uuv[row], covariance[row], landmark_key(track)
             if track in self._aside:
@@ -224,7 +225,9 @@ class WholeGraph:
                 now = _Pending(here, uuv, noise, float(sigma[row]))
                 landmarks.append(self._first_point(key, first, now))
                 factors.add(
-                    self._stereo.create(pose_key(first.ordinal), key, first.uuv, first.covariance)
+                    self._stereo.create(
+                        pose_key(first.ordinal), key, first.uuv, first.covariance, inflation
+                    )
                 )
                 rows.append((key, first.ordinal))
                 sigmas.append(first.sigma_disparity)
@@ -235,7 +238,7 @@ class WholeGraph:
             self._known[track] = here
             rows.append((key, here))
             sigmas.append(float(sigma[row]))
-            factors.add(self._stereo.create(pose_key(here), key, uuv, noise))
+            factors.add(self._stereo.create(pose_key(here), key, uuv, noise, inflation))
         self._sighted.append((np.array(rows, dtype=np.int64).reshape(-1, 2), np.array(sigmas)))
         oldest = here - self._config.max_track_gap
         self._pending = {t: p for t, p in self._pending.items() if p.ordinal > oldest}

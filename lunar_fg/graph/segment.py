@@ -193,14 +193,20 @@ class Segment:
         if not len(window.pose) and len(self._motions) == len(self) - 1:
             return replace(self.chained(), converged=True)
         solver = WindowSolver(
-            self._camera, window, np.stack(self._poses), self._config.robust_threshold_sigma
+            self._camera,
+            window,
+            np.stack(self._poses),
+            self._config.robust_threshold_sigma,
+            self._config.landmark_correlation,
         )
         solved = solver.solve(self._config.max_iterations)
         if not np.isfinite(solved.covariance).all():
             raise EstimationError("its covariance is not finite")
         rover_T_camera = self._rover_T_camera
         rotate = np.kron(np.eye(len(self) - 1), adjoint(rover_T_camera))
-        covariance = rotate @ solved.covariance @ rotate.T
+        by_disparity = self._config.disparity_sigma_px * solved.by_disparity
+        covariance = solved.covariance + np.outer(by_disparity, by_disparity)
+        covariance = rotate @ covariance @ rotate.T
         return SegmentSolution(
             rover_T_camera @ solved.poses @ inverse(rover_T_camera),
             0.5 * (covariance + covariance.T),
