@@ -18,7 +18,12 @@ from frontends.measurements import (
     Tilt,
     Verdict,
 )
+from lunar_fg.graph.config import GraphConfig
 from lunar_fg.graph.keyframe import Keyframe
+
+#: Settings that are right for simulated landmarks: they err independently of each other, real
+#: ones do not.
+INDEPENDENT = GraphConfig(landmark_correlation=0.0, disparity_sigma_px=0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +40,8 @@ class TraverseSpec:
         Keyframes a landmark is tracked for, uniform.
     sigma_px, sigma_disparity_px
         Pixel noise, as reported and as drawn.
+    disparity_error_px
+        1-sigma of an error that all disparities of the traverse have in common; not reported.
     bad_share
         Share of sightings moved by up to 40 px.
     odometry, tilt
@@ -55,6 +62,7 @@ class TraverseSpec:
     most_track: int = 8
     sigma_px: float = 0.7
     sigma_disparity_px: float = 0.7
+    disparity_error_px: float = 0.0
     bad_share: float = 0.0
     odometry: bool = False
     tilt: bool = False
@@ -108,6 +116,7 @@ def simulate(spec: TraverseSpec, seed: int) -> SimulatedTraverse:
     )
     live_id = np.empty(0, dtype=np.int64)
     live_point, live_left = np.empty((0, 3)), np.empty(0, dtype=np.int64)
+    offset = spec.disparity_error_px * np.random.default_rng([seed, 1]).normal()
     keyframes, next_id = [], 0
     for k in range(spec.keyframes):
         camera_T_map = inverse(truth[k] @ rover_T_camera)
@@ -132,7 +141,7 @@ def simulate(spec: TraverseSpec, seed: int) -> SimulatedTraverse:
             Keyframe(
                 k,
                 float(k),
-                _observe(spec, rng, camera, live_id, pixels),
+                _observe(spec, rng, camera, live_id, pixels, offset),
                 relative,
                 odometry,
                 _tilt(rng, truth[k]) if spec.tilt else None,
@@ -171,6 +180,7 @@ def _observe(
     camera: StereoCamera,
     ids: np.ndarray[tuple[int], np.dtype[np.int64]],
     pixels: FloatArray,
+    offset_px: float,
 ) -> StereoObservations:
     n = len(ids)
     u_left = pixels[:, 0] + spec.sigma_px * rng.normal(size=n)
@@ -179,7 +189,7 @@ def _observe(
     u_left = u_left + bad * rng.uniform(-40.0, 40.0, n)
     v = v + bad * rng.uniform(-40.0, 40.0, n)
     disparity = pixels[:, 0] - pixels[:, 1] + spec.sigma_disparity_px * rng.normal(size=n)
-    disparity = np.maximum(disparity, 0.1)
+    disparity = np.maximum(disparity + offset_px, 0.1)
     sigma, sigma_d = np.full(n, spec.sigma_px), np.full(n, spec.sigma_disparity_px)
     return StereoObservations(
         ids,

@@ -8,9 +8,9 @@ from scipy.stats import chi2
 
 from frontends.geometry import inverse, se3_log
 from frontends.measurements import Verdict
-from lunar_fg.graph import GraphConfig, IncrementalSmoother
+from lunar_fg.graph import IncrementalSmoother
 from lunar_fg.simulation.fixes import FixSpec, simulate_fixes
-from lunar_fg.simulation.measurements import TraverseSpec, simulate
+from lunar_fg.simulation.measurements import INDEPENDENT, TraverseSpec, simulate
 
 FIXES = FixSpec(every=9, sigma_xy_m=0.1, sigma_yaw_rad=0.01, correlation=0.6, false_share=0.25)
 PLACES = ("online, at a fix", "online, between", "smoothed, between", "smoothed, last")
@@ -27,7 +27,10 @@ def once(mode, spec, seed):
     fixes = simulate_fixes(range(spec.keyframes), run.map_T_rover, FIXES, seed + 5000)
     waiting = {fix.frame: (fix, i % 2 * 3) for i, fix in enumerate(fixes.fixes)}
     smoother = IncrementalSmoother(
-        run.camera, run.rover_T_camera, run.start, GraphConfig(landmarks=mode)
+        run.camera,
+        run.rover_T_camera,
+        run.start,
+        INDEPENDENT.model_copy(update={"landmarks": mode}),
     )
     row = []
     for keyframe in run.keyframes:

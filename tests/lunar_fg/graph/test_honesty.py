@@ -6,7 +6,7 @@ from scipy.stats import chi2
 
 from frontends.geometry import inverse, se3_log
 from lunar_fg.graph import GraphConfig, IncrementalSmoother
-from lunar_fg.simulation.measurements import TraverseSpec, simulate
+from lunar_fg.simulation.measurements import INDEPENDENT, TraverseSpec, simulate
 
 
 def squared_error(pose, covariance, truth):
@@ -14,13 +14,13 @@ def squared_error(pose, covariance, truth):
     return error @ np.linalg.solve(covariance, error)
 
 
-def monte_carlo(mode, spec, seeds):
+def monte_carlo(mode, spec, seeds, config=INDEPENDENT):
     """Squared errors (runs, places): online inside a segment, online last, smoothed mid, last."""
     rows = []
     for seed in seeds:
         run = simulate(spec, seed)
-        config = GraphConfig(landmarks=mode)
-        smoother = IncrementalSmoother(run.camera, run.rover_T_camera, run.start, config)
+        settings = config.model_copy(update={"landmarks": mode})
+        smoother = IncrementalSmoother(run.camera, run.rover_T_camera, run.start, settings)
         estimates = [smoother.add(keyframe) for keyframe in run.keyframes]
         smoother.finish()
         smoothed = smoother.trajectory()
@@ -56,6 +56,16 @@ def test_nees_lies_in_its_band(mode, spec, runs):
     assert (nees < high).all(), nees
 
 
+def test_errors_that_all_landmarks_share_are_in_the_covariance():
+    """As real landmarks' errors are: without the two terms for them, NEES leaves its band."""
+    spec, runs = TraverseSpec(keyframes=33, disparity_error_px=0.1), 30
+    high = chi2.ppf(0.999, 6 * runs) / (6 * runs)
+    shared = monte_carlo("segments", spec, range(runs), GraphConfig()).mean(axis=0) / 6.0
+    alone = monte_carlo("segments", spec, range(runs)).mean(axis=0) / 6.0
+    assert (shared < high).all(), shared
+    assert (alone > high).any(), alone
+
+
 def test_the_same_pixels_twice_would_be_over_confident():
     """Why the visual relative pose is no factor: entered as odometry, NEES leaves the band."""
     from dataclasses import replace
@@ -63,7 +73,7 @@ def test_the_same_pixels_twice_would_be_over_confident():
     from frontends.measurements import Odometry
     from lunar_fg.graph.segment import Segment
 
-    spec, config, squared = TraverseSpec(keyframes=11), GraphConfig(), []
+    spec, config, squared = TraverseSpec(keyframes=11), INDEPENDENT, []
     for seed in range(20):
         run = simulate(spec, seed)
         once = Segment(run.camera, run.rover_T_camera, config, run.keyframes[0])
