@@ -80,8 +80,11 @@ def test_the_motion_is_found_among_wrong_correspondences(seed, wrong_share):
     assert found.correspondences == len(b)
 
 
-def mean_nees(seeds, **kwargs):
-    return np.mean([nees(estimate(*two_views(seed, **kwargs)[:2], seed)) for seed in seeds])
+def mean_nees(seeds, landmark_correlation=0.0, **kwargs):
+    """Of simulated landmarks, which err independently of each other."""
+    config = RelativeConfig(landmark_correlation=landmark_correlation)
+    found = (estimate(*two_views(seed, **kwargs)[:2], seed, config) for seed in seeds)
+    return np.mean([nees(motion) for motion in found])
 
 
 @pytest.mark.parametrize("wrong_share", [0.0, 0.3])
@@ -96,6 +99,11 @@ def test_the_covariance_is_never_far_off():
     assert 0.6 < mean_nees(range(100, 160)) < 1.7
     assert 0.6 < mean_nees(range(100, 160), count=60) < 1.7
     assert 0.6 < mean_nees(range(100, 160), nearest_m=3.0, farthest_m=30.0) < 1.7
+
+
+def test_many_landmarks_count_for_few_where_they_share_errors():
+    apart, shared = (mean_nees(range(40), of, count=300) for of in (0.0, 0.01))
+    assert 2.0 < apart / shared < 4.0
 
 
 def test_larger_noise_than_stated_inflates_the_covariance():

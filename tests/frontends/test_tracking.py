@@ -208,3 +208,26 @@ def test_sigmas_and_point_covariance_of_a_tracked_landmark_agree():
         seen.u_left, seen.v, seen.disparity_px, seen.sigma_px, seen.sigma_disparity_px
     )
     np.testing.assert_allclose(seen.points_covariance, expected, rtol=1e-6)
+
+
+def approached(found, by):
+    """The same features, `by` times nearer."""
+    seen = found.observations
+    return replace(found, observations=observe(
+        CAMERA, seen.landmark_id, seen.u_left, seen.v, by * seen.disparity_px, seen.sigma_px,
+        seen.sigma_disparity_px,
+    ))  # fmt: skip
+
+
+def test_noise_grows_with_the_approach_since_the_first_sighting():
+    """A random walk: the variance is that of all steps together, whatever their number."""
+    tracker, config = LandmarkTracker(CAMERA), TrackingConfig()
+    step(tracker, features(range(50)))
+    step(tracker, approached(features(range(50)), 1.2))
+    tracks, seen = step(tracker, approached(features(range(50)), 1.5))
+    walk = config.scale_change_sigma * 15.0
+    expected = np.hypot(0.2, walk * np.sqrt(np.log(1.5)))
+    np.testing.assert_allclose(seen.sigma_px, expected, rtol=1e-6)
+    # the motion since the last frame knows where the feature was then
+    since = np.hypot(0.2, walk * np.sqrt(np.log(1.5 / 1.2)))
+    np.testing.assert_allclose(tracks.observations_b.sigma_px, since, rtol=1e-6)

@@ -156,6 +156,7 @@ def test_a_checkpoint_comes_back_bit_for_bit() -> None:
     memory = LandmarkMemory(
         np.arange(5), rng.random((5, 64), dtype=np.float32), np.ones(5, np.int8),
         rng.random((5, 3)), rng.random((5, 3, 3)), np.zeros(5, np.int64),
+        rng.random(5), rng.random(5),
     )  # fmt: skip
     finding = DisparityFinding(rng.random(3), rng.random(3), rng.random(3), 1e-7, True, 31)
     rectification = RectificationError(rng.random(6), rng.random(3))

@@ -11,11 +11,12 @@ from frontends.measurements import Odometry, RelativePose, StartPrior, Tilt, Ver
 from lunar_fg.graph import GraphConfig, IncrementalSmoother, Keyframe, optimize_batch
 from lunar_fg.graph.incremental import NO_VERTICAL_WARNING
 from lunar_fg.graph.isam import QR_WARNING
-from lunar_fg.simulation.measurements import TraverseSpec, simulate
+from lunar_fg.simulation.measurements import INDEPENDENT, TraverseSpec, simulate
 
 
 def smoothed(run, keyframes=None, finish=True, **config):
-    smoother = IncrementalSmoother(run.camera, run.rover_T_camera, run.start, GraphConfig(**config))
+    settings = INDEPENDENT.model_copy(update=config)
+    smoother = IncrementalSmoother(run.camera, run.rover_T_camera, run.start, settings)
     for keyframe in run.keyframes if keyframes is None else keyframes:
         smoother.add(keyframe)
     if finish:
@@ -36,7 +37,7 @@ def test_segments_full_and_batch_agree(spec):
     segments = smoothed(run).trajectory()
     full = smoothed(run, landmarks="full").trajectory()
     result = optimize_batch(
-        run.camera, run.rover_T_camera, run.start, run.keyframes, initial=segments
+        run.camera, run.rover_T_camera, run.start, run.keyframes, INDEPENDENT, segments
     )
     batch = result.trajectory
     assert result.report.converged
@@ -57,7 +58,7 @@ def test_tilts_inside_segments_count_as_in_batch():
     run = simulate(TraverseSpec(keyframes=41, landmarks=60, odometry=True, tilt=True), seed=3)
     segments = smoothed(run).trajectory()
     batch = optimize_batch(
-        run.camera, run.rover_T_camera, run.start, run.keyframes, initial=segments
+        run.camera, run.rover_T_camera, run.start, run.keyframes, INDEPENDENT, segments
     ).trajectory
     ratio = np.sqrt(segments.covariance[:, [0, 1], [0, 1]] / batch.covariance[:, [0, 1], [0, 1]])
     assert ratio.max() < 1.12

@@ -10,7 +10,7 @@ from lunar_fg.graph.config import GraphConfig
 from lunar_fg.graph.factors import between_factor, landmark_key, pose_key
 from lunar_fg.graph.segment import Segment, _longest
 from lunar_fg.graph.uprights import uprights
-from lunar_fg.simulation.measurements import TraverseSpec, simulate
+from lunar_fg.simulation.measurements import INDEPENDENT, TraverseSpec, simulate
 
 
 def gtsam_solution(segment, traverse, threshold):
@@ -77,7 +77,7 @@ def test_equals_gtsam(bad_share, odometry):
     spec = TraverseSpec(keyframes=9, bad_share=bad_share, odometry=odometry)
     traverse = simulate(spec, seed=11)
     # The wide gate leaves outliers to the robust loss.
-    config = GraphConfig(robust_threshold_sigma=2.0, gate_probability=0.99999999)
+    config = INDEPENDENT.model_copy(update={"gate_probability": 0.99999999})
     segment = filled(traverse, config)
     solution = segment.solve()
     poses, covariance, chi_square = gtsam_solution(segment, traverse, 2.0)
