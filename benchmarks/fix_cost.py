@@ -10,7 +10,7 @@ import numpy as np
 from frontends.measurements import AbsoluteFix, FixCandidate, FloatArray
 from lunar_fg.graph import IncrementalSmoother, optimize_batch
 from lunar_fg.graph.planar import planar
-from lunar_fg.simulation.measurements import SimulatedTraverse, TraverseSpec, simulate
+from lunar_fg.simulation.measurements import TraverseSpec, simulate
 
 _SIGMAS = np.array([1.0, 1.0, 0.02])
 
@@ -29,11 +29,20 @@ class FixCost:
 
 @dataclass(frozen=True)
 class TakenBack:
-    """A false fix believed and taken back after so many keyframes of wheels and tilt."""
+    """A false fix believed and taken back after so many keyframes of wheels and tilt.
+
+    `later` says how many keyframes, with their fixes, came between; `snapshot` whether the copy
+    from before it was still kept.
+    """
 
     keyframes: int
+    at: int
+    later: int
+    snapshot: bool
     moved_m: float
-    ms: float
+    ms_median: float
+    ms_max: float
+    graph_ms_median: float
     left_mm: float
 
 
@@ -45,7 +54,7 @@ def fix_cost(keyframes: int, every: int = 20) -> FixCost:
     for keyframe in run.keyframes:
         smoother.add(keyframe)
         if keyframe.index and keyframe.index % every == 0:
-            fix = _fix(run, keyframe.index, rng)
+            fix = fix_at(run.map_T_rover[keyframe.index], keyframe.index, rng)
             begin = process_time()
             smoother.add_fix(fix)
             times.append(1e3 * (process_time() - begin))
@@ -63,35 +72,97 @@ def fix_cost(keyframes: int, every: int = 20) -> FixCost:
     return FixCost(keyframes, len(times), median, p95, batch, 1e3 * batch / median)
 
 
-def taken_back(keyframes: int) -> list[TakenBack]:
-    """Fixes every 200 keyframes; then false ones of 3 and 10 m at the end and midway."""
-    run = simulate(TraverseSpec(keyframes=keyframes, landmarks=0, odometry=True, tilt=True), 1)
+def taken_back(keyframes: int, repeats: int = 5) -> list[TakenBack]:
+    """Fixes every 200 keyframes; then false ones of 3 and 10 m at the end and midway.
+
+    Believed on a person's word, and rejected: at once, without the copy from before it, and, the
+    one at the end, after 250 more keyframes and another fix.
+    """
+    later = 250
+    spec = TraverseSpec(keyframes=keyframes + later, landmarks=0, odometry=True, tilt=True)
+    run = simulate(spec, 1)
     smoother = IncrementalSmoother(run.camera, run.rover_T_camera, run.start)
     rng = np.random.default_rng(0)
-    for keyframe in run.keyframes:
-        smoother.add(replace(keyframe, observations=None, relative=None))
-        if keyframe.index and keyframe.index % 200 == 0:
-            smoother.add_fix(_fix(run, keyframe.index, rng))
+
+    def drive(first: int, last: int) -> None:
+        for keyframe in run.keyframes[first:last]:
+            smoother.add(replace(keyframe, observations=None, relative=None))
+            if keyframe.index and keyframe.index % 200 == 0:
+                smoother.add_fix(fix_at(run.map_T_rover[keyframe.index], keyframe.index, rng))
+
+    drive(0, keyframes)
     rows = []
-    for frame, off in ((keyframes - 1, 3.0), (keyframes // 2 + 5, 10.0)):
-        smoother.add_fix(_fix(run, frame, rng, off))
-        smoother.reject(frame)
-        before = smoother.trajectory().map_T_rover[:, :3, 3]
-        smoother.accept(frame)
-        between = smoother.trajectory().map_T_rover[:, :3, 3]
-        begin = process_time()
-        smoother.reject(frame)
-        ms = 1e3 * (process_time() - begin)
-        after = smoother.trajectory().map_T_rover[:, :3, 3]
-        moved, left = _largest(between - before), _largest(after - before)
-        rows.append(TakenBack(keyframes, moved, ms, 1e3 * left))
+    end, middle = keyframes - 1, keyframes // 2 + 5
+    for frame, off in ((end, 3.0), (middle, 10.0)):
+        smoother.add_fix(fix_at(run.map_T_rover[frame], frame, rng, off))
+        for snapshot in (True, False):
+            smoother.reject(frame)
+            before = _positions(smoother)
+            times = []
+            for _ in range(repeats):
+                smoother.accept(frame)
+                between = _positions(smoother)
+                times.append(_rejected(smoother, frame, snapshot=snapshot))
+            left = _largest(_positions(smoother) - before)
+            rows.append(_row(keyframes, frame, 0, snapshot, between - before, times, left))
+    smoother.accept(end)
+    between = _positions(smoother)
+    drive(keyframes, keyframes + later)
+    times = [_rejected(smoother, end, snapshot=True)]
+    after = _positions(smoother)
+    smoother.accept(end)
+    _rejected(smoother, end, snapshot=False)
+    left = _largest(_positions(smoother) - after)
+    rows.append(_row(keyframes, end, later, True, between - after[:keyframes], times, left))
     return rows
 
 
-def _fix(
-    run: SimulatedTraverse, frame: int, rng: np.random.Generator, off_m: float = 0.0
+def _rejected(smoother: IncrementalSmoother, frame: int, *, snapshot: bool) -> tuple[float, float]:
+    """Reject a fix: milliseconds of all of it, and of the graph alone."""
+    graph = smoother._graph._isam  # type: ignore[attr-defined]
+    if not snapshot:
+        graph._snapshots.clear()
+    spent = []
+    exchange = graph.exchange
+
+    def timed(*arguments: object) -> None:
+        begin = process_time()
+        exchange(*arguments)
+        spent.append(1e3 * (process_time() - begin))
+
+    graph.exchange = timed
+    begin = process_time()
+    smoother.reject(frame)
+    whole = 1e3 * (process_time() - begin)
+    del graph.exchange
+    return whole, sum(spent)
+
+
+def _row(
+    keyframes: int,
+    at: int,
+    later: int,
+    snapshot: bool,
+    moved: FloatArray,
+    times: list[tuple[float, float]],
+    left: float,
+) -> TakenBack:
+    whole, graph = np.array(times).T
+    return TakenBack(
+        keyframes, at, later, snapshot, _largest(moved), float(np.median(whole)),
+        float(whole.max()), float(np.median(graph)), 1e3 * left,
+    )  # fmt: skip
+
+
+def _positions(smoother: IncrementalSmoother) -> FloatArray:
+    return smoother.trajectory().map_T_rover[:, :3, 3]
+
+
+def fix_at(
+    map_T_rover: FloatArray, frame: int, rng: np.random.Generator, off_m: float = 0.0
 ) -> AbsoluteFix:
-    x, y, yaw = planar(run.map_T_rover[frame]) + _SIGMAS * rng.normal(size=3)
+    """A fix of 1 m and 0.02 rad on a true pose, or off by as much as is said."""
+    x, y, yaw = planar(map_T_rover) + _SIGMAS * rng.normal(size=3)
     covariance = np.diag(_SIGMAS**2)
     return AbsoluteFix(frame, (FixCandidate(x + off_m, y + 0.5 * off_m, yaw, covariance),))
 

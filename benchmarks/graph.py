@@ -20,7 +20,7 @@ import gtsam
 import numpy as np
 
 from benchmarks.false_fixes import study
-from benchmarks.fix_cost import fix_cost, taken_back
+from benchmarks.fix_cost import fix_at, fix_cost, taken_back
 from benchmarks.graph_page import page
 from benchmarks.traverses import kitti_fixes, spirit
 from frontends.camera import StereoCamera
@@ -120,6 +120,7 @@ def cost_against_length(data: Data, marks: Sequence[int], most: dict[str, int]) 
     """Feed all ways keyframe by keyframe, each up to its own limit."""
     feeds: dict[str, Feed] = {
         "segments": smoother(data, "segments").add,
+        "segments, a fix every 50": fixed_feed(data),
         "full": smoother(data, "full").add,
         "plain iSAM2": PlainIsam(data).add,
     }
@@ -142,6 +143,20 @@ def cost_against_length(data: Data, marks: Sequence[int], most: dict[str, int]) 
         if not feeds:
             break
     return rows
+
+
+def fixed_feed(data: Data) -> Feed:
+    """Segments with a true fix of 1 m at every 50th keyframe, its vote included."""
+    graph, rng = smoother(data, "segments"), np.random.default_rng(0)
+    assert data.truth is not None
+    truth = data.truth
+
+    def feed(keyframe: Keyframe) -> None:
+        graph.add(keyframe)
+        if keyframe.index and keyframe.index % 50 == 0:
+            graph.add_fix(fix_at(truth[keyframe.index], keyframe.index, rng))
+
+    return feed
 
 
 def cost(way: str, times: list[float]) -> Cost:
@@ -211,10 +226,11 @@ def costs(arguments: argparse.Namespace) -> list[Cost]:
     """Cost of a keyframe against the length of the run."""
     most = {
         "segments": arguments.most,
+        "segments, a fix every 50": arguments.most_fixed,
         "full": arguments.most_full,
         "plain iSAM2": arguments.most_plain,
     }
-    marks = [n for n in (100, 200, 300, 600, 1_000, 3_000, 10_000, 50_000) if n <= arguments.most]
+    marks = [n for n in (100, 300, 600, 1_000, 1_100, 3_000, 10_000, 50_000) if n <= arguments.most]
     return cost_against_length(simulated(arguments.most), marks, most)
 
 
@@ -230,6 +246,7 @@ def main() -> None:
     parts = ("cost", "agreement", "fix cost", "taken back", "false fixes", "KITTI-00", "Spirit")
     parser.add_argument("parts", nargs="*", default=parts, help=f"of {', '.join(parts)}")
     parser.add_argument("--most", type=int, default=10_000, help="keyframes for segments")
+    parser.add_argument("--most-fixed", type=int, default=10_000, help="the same with fixes")
     parser.add_argument("--most-full", type=int, default=600, help="keyframes for full landmarks")
     parser.add_argument("--most-plain", type=int, default=300, help="keyframes for plain iSAM2")
     parser.add_argument("--runs", type=int, default=10, help="seeds of each false-fix setting")

@@ -5,16 +5,19 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable
+from dataclasses import asdict
 from typing import Any
 
 from frontends.measurements import AbsoluteFix, Verdict
 from lunar_fg.config import Config
+from lunar_fg.evaluation.metrics import to_json
 from lunar_fg.graph.feed import feed
 from lunar_fg.graph.incremental import IncrementalSmoother
 from lunar_fg.graph.ledger import FixDecision, Height, LedgerEntry, LoopClosure
 from lunar_fg.log import TraverseLog
-from lunar_fg.run_folder import RunFolder
-from lunar_fg.runs import as_trajectory
+from lunar_fg.run_folder import RunFolder, write_whole
+from lunar_fg.runs import as_trajectory, compare
+from lunar_fg.trajectory import Trajectory
 
 
 def read_ledger(folder: RunFolder) -> list[LedgerEntry]:
@@ -44,7 +47,8 @@ def overrule(
     """Believe a place of a fix, or with None refuse the fix; the trajectory follows.
 
     The run is solved anew from its log. The log keeps the word for good; ``trajectory.tum``,
-    ``trajectory.kitti`` and ``covariance.npz`` are written anew.
+    ``trajectory.kitti``, ``covariance.npz`` and what ``metrics.json`` says of the accuracy are
+    written anew.
 
     Parameters
     ----------
@@ -73,9 +77,21 @@ def overrule(
             decision = smoother.accept(frame, base, candidate)
         smoother.finish()
         trajectory = as_trajectory(smoother.trajectory())
-        log.append_decisions([decision])
+        log.replace_ledger(smoother.ledger)
+    _write_accuracy(folder, trajectory)
     folder.write_trajectory(trajectory, rover_T_camera=header.rover_T_camera)
     return decision
+
+
+def _write_accuracy(folder: RunFolder, trajectory: Trajectory) -> None:
+    """Bring the metrics to a new trajectory; counts, times and the run's warnings stay."""
+    if not folder.metrics_path.is_file():
+        return
+    figures, truth = folder.read_metrics(), folder.read_truth()
+    before, now = compare(folder.read_trajectory(), truth), compare(trajectory, truth)
+    of_run = [text for text in figures.get("warnings", ()) if text not in before.warnings]
+    figures |= {**asdict(now), "warnings": [*of_run, *now.warnings]}
+    write_whole(folder.metrics_path, to_json(figures).encode())
 
 
 def entry_values(entry: LedgerEntry) -> dict[str, Any]:

@@ -263,6 +263,24 @@ class TraverseLog:
         with self._transaction():
             self._insert_decisions(decisions)
 
+    def replace_ledger(self, ledger: Sequence[LedgerEntry]) -> None:
+        """Write all map measurements and verdicts anew, all or nothing.
+
+        For where they were reached again from the log, or voted on once more at the end.
+
+        Raises
+        ------
+        InputError
+            The file cannot be written; the old ones are kept.
+        """
+        with self._transaction():
+            self._clear(FIX_TABLE_NAMES)
+            self._insert(-1, rows_of_ledger(ledger))
+
+    def _clear(self, tables: Iterable[str]) -> None:
+        for table in tables:
+            self._db.execute(f"DELETE FROM {table}")  # noqa: S608  # see _insert
+
     def _insert_decisions(self, decisions: Sequence[FixDecision]) -> None:
         for decision in decisions:
             self._insert(decision.entry.frame, rows_of_decision(decision))
@@ -282,8 +300,7 @@ class TraverseLog:
             The file cannot be written; the old keyframes are kept.
         """
         with self._transaction():
-            for table in (*FIX_TABLE_NAMES, "place", *KEYFRAME_TABLES):
-                self._db.execute(f"DELETE FROM {table}")  # noqa: S608  # see _insert
+            self._clear((*FIX_TABLE_NAMES, "place", *KEYFRAME_TABLES))
             for keyframe, estimate in entries:
                 self._insert(keyframe.index, rows_of(keyframe, estimate))
             self._insert(-1, rows_of_ledger(ledger))

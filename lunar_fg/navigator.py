@@ -165,7 +165,11 @@ class Navigator:
                 source="log",
                 remedy="use `lunar-fg replay`, or run again",
             )
-        list(feed(self._smoother, keyframes, self._log.ledger()))
+        ledger = self._log.ledger()
+        list(feed(self._smoother, keyframes, ledger))
+        if _rulings(ledger) != _rulings(self._smoother.ledger):
+            # A sitting that ended has voted once more; the next one goes on from before that.
+            self._log.replace_ledger(self._smoother.ledger)
         checkpoint = newest[1]
         self._frontend.restore(checkpoint, list(zip(keyframes, records, strict=True)))
         self._corrected = checkpoint.corrected
@@ -198,7 +202,8 @@ class Navigator:
             decision = self.localisation.fix(self._smoother, last=True)
             if decision is not None and self._log is not None:
                 self._log.append_decisions([decision])
-        self._smoother.finish()
+        if self._smoother.finish() and self._log is not None:
+            self._log.replace_ledger(self._smoother.ledger)
 
     def trajectory(self) -> Trajectory:
         """Return the smoothed pose and covariance of every frame so far."""
@@ -319,3 +324,7 @@ class Navigator:
         self._smoother = smoother
         self.frames_lost = sum(estimate.lost for _, estimate in entries[:-1])
         return entries[-1][1]
+
+
+def _rulings(ledger: Iterable[LedgerEntry]) -> int:
+    return sum(len(entry.history) for entry in ledger)

@@ -65,7 +65,8 @@ def replay(source: RunFolder, target: RunFolder, config: Config) -> Metrics:
         for frame, (estimate, decisions) in zip(frames, fed, strict=True):
             log.append(frame.keyframe, estimate, frame.record, decisions=decisions)
             lost += estimate.lost
-    smoother.finish()
+        if smoother.finish():
+            log.replace_ledger(smoother.ledger)
     trajectory = as_trajectory(smoother.trajectory())
     target.write_trajectory(trajectory, rover_T_camera=header.rover_T_camera)
     by_wheels = dead_reckoning_of([frame.record for frame in frames if frame.record is not None])

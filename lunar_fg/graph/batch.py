@@ -142,7 +142,6 @@ def _incremental(
     smoother = IncrementalSmoother(camera, rover_T_camera, start, segments)
     list(feed(smoother, keyframes, ledger))
     smoother.finish()
-    smoother.revote()
     return smoother
 
 

@@ -11,13 +11,16 @@ from frontends.errors import InputError
 from frontends.measurements import AbsoluteFix, FixCandidate, Verdict
 from lunar_fg.cli import app
 from lunar_fg.config import Config
+from lunar_fg.evaluation import Metrics
 from lunar_fg.graph import IncrementalSmoother, feed
 from lunar_fg.graph.planar import planar
 from lunar_fg.ledger import overrule, read_ledger
 from lunar_fg.log import TraverseLog
 from lunar_fg.log_entries import RunHeader
 from lunar_fg.run_folder import RunFolder
+from lunar_fg.runs import as_trajectory, compare
 from lunar_fg.simulation.measurements import TraverseSpec, simulate
+from lunar_fg.trajectory import Trajectory
 
 COVARIANCE = np.diag([0.01, 0.01, 1e-4])
 
@@ -101,7 +104,14 @@ def call(*arguments):
 
 
 def test_the_command_prints_and_overrules(recorded, tmp_path):
-    _, folder, _, trajectory = recorded
+    run, folder, _, trajectory = recorded
+    stamps = np.array([keyframe.stamp_s for keyframe in run.keyframes])
+    folder.write_truth(Trajectory(stamps, run.map_T_rover))
+    folder.write_trajectory(as_trajectory(trajectory))
+    accuracy = compare(as_trajectory(trajectory), folder.read_truth())
+    warnings = ["of the run"]
+    metrics = Metrics.of_run(accuracy, frames=41, frames_lost=3, warnings=warnings)
+    folder.write_metrics(metrics)
     table = call("fixes", folder.path)
     assert table.exit_code == 0, table.output
     for word in ("image [match]", "0.80", "31", "0.40", "too dark", "refused", "3-30", "gate"):
@@ -110,12 +120,18 @@ def test_the_command_prints_and_overrules(recorded, tmp_path):
     assert result.exit_code == 0, result.output
     moved = folder.read_trajectory().map_T_rover[20, :2, 3] - trajectory.map_T_rover[20, :2, 3]
     assert np.linalg.norm(moved) > 0.3
+    worse = folder.read_metrics()
+    assert worse["ate_rmse_m"]["none"] > 1.2 * metrics.ate_rmse_m.none
+    assert (worse["frames_lost"], worse["warnings"]) == (3, [*warnings, *accuracy.warnings])
     again = json.loads(call("fixes", folder.path, "--reject", 20, "--json").output)
     entry = next(e for e in again if e["keyframe"] == 20)
     assert [past["by_person"] for past in entry["history"]] == [False, True, True]
     assert [past["verdict"] for past in entry["history"]] == ["refused", "accepted", "refused"]
     back = folder.read_trajectory().map_T_rover[:, :3, 3]
     np.testing.assert_allclose(back, trajectory.map_T_rover[:, :3, 3], atol=5e-3)
+    assert folder.read_metrics()["ate_rmse_m"]["none"] == pytest.approx(
+        metrics.ate_rmse_m.none, rel=0.05
+    )
     for arguments in (
         ("--accept", 5),
         ("--accept", 20, "--candidate", 2),

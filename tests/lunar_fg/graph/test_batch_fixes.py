@@ -76,6 +76,6 @@ def test_the_last_vote_is_on_all(fixed):
         smoother.add(keyframe)
     for fix in fixes.fixes:
         smoother.add_fix(fix)
-    smoother.revote()
+    smoother.finish()
     verdicts = [e.ruling.verdict is Verdict.ACCEPTED for e in smoother.ledger]
     assert verdicts == fixes.true.tolist()
