@@ -14,8 +14,9 @@ from frontends.orbital import Raster, sun_of_tags
 from lunar_fg.commands.shared import out
 from lunar_fg.datasets import open_dataset
 from lunar_fg.datasets.bag_file import find_bag
+from lunar_fg.datasets.label_text import is_label
 from lunar_fg.datasets.pds_image import read_rover_image
-from lunar_fg.datasets.pds_label import is_label, read_label
+from lunar_fg.datasets.pds_label import read_label
 
 _CHECKED_FRAMES = 3
 

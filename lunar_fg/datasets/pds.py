@@ -33,8 +33,9 @@ from frontends.measurements import (
 from frontends.undistort import StereoCalibration, rectifier_of
 from lunar_fg.datasets.base import FloatArray, GroundTruth, MapReference, OrbitalFiles
 from lunar_fg.datasets.images import darkness
+from lunar_fg.datasets.label_text import is_label
 from lunar_fg.datasets.pds_image import read_rover_image
-from lunar_fg.datasets.pds_label import RoverLabel, is_label, read_label
+from lunar_fg.datasets.pds_label import RoverLabel, read_label
 
 SUFFIXES = (".img", ".lbl", ".vic")
 _MOST_FILES = 20_000

@@ -1,8 +1,5 @@
 """Labels of Mars rover images: PDS3 (attached or detached) and bare VICAR, to what is needed.
 
-PDS3 labels are parsed by pvl, from a bounded part of the file. VICAR labels are lists of
-``KEY=VALUE`` in which ``PROPERTY='NAME'`` begins a group. Both give the same nested mapping.
-
 Rover axes in labels are x forward, y right, z down, site axes x north, y east, z down. Here
 the rover's are x forward, y left, z up, and the map's x east, y north, z up.
 """
@@ -11,30 +8,22 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
 
 import numpy as np
-import pvl
 from numpy.typing import NDArray
-from pvl.decoder import OmniDecoder
-from pvl.grammar import OmniGrammar
-from pvl.parser import PVLParser
 from scipy.spatial.transform import Rotation
 
 from frontends.cahv import CahvCamera
 from frontends.errors import InputError
 from frontends.geometry import pose
 from frontends.measurements import SunDirection
+from lunar_fg.datasets.label_text import LabelGroup, read_label_text
 
 FloatArray = NDArray[np.float64]
 
-MAX_LABEL_BYTES = 256_000
 MAX_SIDE = 20_000
-_VICAR_ITEM = re.compile(r"(\w+)\s*=\s*(\((?:[^()']|'[^']*')*\)|'(?:[^']|'')*'|[^\s']+)")
-_END = re.compile(rb"(?:^|[\r\n])\s*END\s*(?:[\r\n]|$)")
 _CAMERA_GROUPS = ("GEOMETRIC_CAMERA_MODEL", "GEOMETRIC_CAMERA_MODEL_PARMS")
 _ROVER_GROUPS = ("ROVER_COORDINATE_SYSTEM", "ROVER_COORDINATE_SYSTEM_PARMS")
 _SITE_GROUPS = ("SITE_DERIVED_GEOMETRY_PARMS",)
@@ -113,16 +102,6 @@ class RoverLabel:
         return np.asarray(FLIP_YZ @ self.camera.reference_T_camera())
 
 
-def is_label(path: Path) -> bool:
-    """Whether a file begins like a PDS3 or VICAR label."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(400)
-    except OSError:
-        return False
-    return b"PDS_VERSION_ID" in head or head.startswith((b"LBLSIZE=", b"ODL_VERSION_ID"))
-
-
 def read_label(path: Path) -> RoverLabel:
     """Read the label of a rover image.
 
@@ -138,143 +117,13 @@ def read_label(path: Path) -> RoverLabel:
         when the image would be too large, or the camera model is one that is not supported
         (CAHVORE).
     """
-    head = _read(path)
-    if head.startswith(b"LBLSIZE="):
-        return _build(path, path, "VICAR", _Group(path, _vicar(path, head)))
-    values = _Group(path, _pvl(path, head))
-    return _build(path, _pixels_of(path, values), "PDS", values)
+    label, vicar = read_label_text(path)
+    if vicar:
+        return _build(path, path, "VICAR", label)
+    return _build(path, _pixels_of(path, label), "PDS", label)
 
 
-@dataclass(frozen=True, slots=True)
-class _Group:
-    """A group of a label; values are checked as they are asked for."""
-
-    path: Path
-    values: Mapping[str, object]
-
-    def group(self, *names: str) -> _Group:
-        for name in names:
-            found = self.values.get(name)
-            if isinstance(found, Mapping):
-                return _Group(self.path, found)
-        return _Group(self.path, {})
-
-    def text(self, name: str, default: str = "") -> str:
-        value = self.values.get(name)
-        return default if value is None or isinstance(value, Mapping) else str(value).strip()
-
-    def numbers(self, name: str, count: int | None = None) -> list[float] | None:
-        value = self.values.get(name)
-        if value is None:
-            return None
-        # a quantity with its unit is a tuple, too
-        several = isinstance(value, list | tuple) and not hasattr(value, "units")
-        items: list[Any] = list(cast(Any, value)) if several else [value]
-        try:
-            numbers = [float(getattr(item, "value", item)) for item in items]
-        except (TypeError, ValueError):
-            return None
-        if not all(math.isfinite(number) and abs(number) < 1e12 for number in numbers):
-            raise InputError("holds a number out of range", source=self.path, field=name)
-        if count is not None and len(numbers) != count:
-            raise InputError(
-                f"has {len(numbers)} values, must have {count}",
-                source=self.path,
-                field=name,
-                remedy="the label is damaged: fetch the product again",
-            )
-        return numbers
-
-    def whole(self, name: str) -> int | None:
-        numbers = self.numbers(name)
-        return None if not numbers or numbers[0] != int(numbers[0]) else int(numbers[0])
-
-
-def _read(path: Path) -> bytes:
-    try:
-        with path.open("rb") as file:
-            head = file.read(MAX_LABEL_BYTES)
-    except OSError as error:
-        raise InputError(
-            f"cannot be read: {error.strerror}", source=path, remedy="check the path and its rights"
-        ) from error
-    if not head:
-        raise InputError("is an empty file", source=path)
-    return head
-
-
-def _pvl(path: Path, head: bytes) -> Mapping[str, object]:
-    end = _END.search(head)
-    if end is None:
-        raise InputError(
-            f"has no END within {MAX_LABEL_BYTES} bytes",
-            source=path,
-            field="label",
-            remedy="the file is cut off, or no PDS3 label",
-        )
-    text = head[: end.end()].decode("latin-1")
-    try:
-        found = pvl.loads(text, parser=_strict_parser())
-    # pvl raises its own errors and, on garbage, whatever its parser runs into
-    except (ValueError, TypeError, KeyError, AttributeError, IndexError, StopIteration,
-            RecursionError) as error:  # fmt: skip
-        brief = " ".join(str(error).split())[:150]
-        raise InputError(
-            f"is no PDS3 label: {brief}", source=path, field="label", remedy="fetch it again"
-        ) from error
-    return dict(found)
-
-
-def _strict_parser() -> Any:
-    """Accept what missions write; give up at the first thing that is none of it.
-
-    pvl's default parser goes on after errors, which a damaged label turns into hours.
-    """
-    grammar = OmniGrammar()
-    return PVLParser(grammar=grammar, decoder=OmniDecoder(grammar=grammar))
-
-
-def _vicar(path: Path, head: bytes) -> Mapping[str, object]:
-    match = re.match(rb"LBLSIZE=(\d{1,7})\s", head)
-    size = 0 if match is None else int(match[1])
-    if not 0 < size <= min(len(head), MAX_LABEL_BYTES):
-        raise InputError(
-            f"states a label of {size} bytes", source=path, field="LBLSIZE",
-            remedy="the file is cut off, or no VICAR image",
-        )  # fmt: skip
-    text = head[:size].split(b"\0")[0].decode("latin-1")
-    groups: dict[str, object] = {}
-    current = groups
-    for name, value in _VICAR_ITEM.findall(text):
-        if name in ("PROPERTY", "TASK"):
-            current = groups.setdefault(value.strip("'"), {})  # type: ignore[assignment]
-            continue
-        if isinstance(current, dict):
-            current.setdefault(name, _vicar_value(value))
-    _as_pds(path, groups)
-    return groups
-
-
-def _vicar_value(text: str) -> object:
-    if text.startswith("("):
-        return [_vicar_value(item.strip()) for item in re.findall(r"'[^']*'|[^,()]+", text)]
-    return text.strip("'")
-
-
-def _as_pds(path: Path, groups: dict[str, object]) -> None:
-    """Put VICAR's system items and groups where PDS3 has them."""
-    bits = {"BYTE": 8, "HALF": 16, "FULL": 32, "REAL": 32}.get(str(groups.get("FORMAT")), 0)
-    image = {"LINES": groups.get("NL"), "LINE_SAMPLES": groups.get("NS"), "SAMPLE_BITS": bits}
-    extra = groups.get("IMAGE_DATA") or groups.get("IMAGE")
-    groups["IMAGE"] = {**(extra if isinstance(extra, dict) else {}), **image}
-    for name in ("IDENTIFICATION", "TELEMETRY"):
-        values = groups.get(name)
-        if isinstance(values, dict):
-            for key, value in values.items():
-                groups.setdefault(key, value)
-
-
-def _pixels_of(path: Path, values: _Group) -> Path:
+def _pixels_of(path: Path, values: LabelGroup) -> Path:
     """File of the pixels: the label's own, or one that it names beside itself."""
     pointer = values.values.get("^IMAGE")
     if isinstance(pointer, list | tuple) and pointer:
@@ -300,7 +149,7 @@ def _pixels_of(path: Path, values: _Group) -> Path:
     )
 
 
-def _build(path: Path, image: Path, driver: str, label: _Group) -> RoverLabel:
+def _build(path: Path, image: Path, driver: str, label: LabelGroup) -> RoverLabel:
     pixels = label.group("IMAGE")
     if not pixels.values:  # detached labels of MSL wrap it
         pixels = label.group("UNCOMPRESSED_FILE").group("IMAGE")
@@ -356,7 +205,7 @@ def _build(path: Path, image: Path, driver: str, label: _Group) -> RoverLabel:
     )
 
 
-def _bits_used(pixels: _Group, bits: int) -> int:
+def _bits_used(pixels: LabelGroup, bits: int) -> int:
     """Bits of a sample that are in use, by ``SAMPLE_BIT_MASK`` (``2#0000111111111111#``)."""
     mask = pixels.values.get("SAMPLE_BIT_MASK")
     if isinstance(mask, int) and 0 < mask < 1 << bits:
@@ -366,7 +215,7 @@ def _bits_used(pixels: _Group, bits: int) -> int:
     return 12 if bits == 16 else bits
 
 
-def _camera(path: Path, model: _Group, size: tuple[int, int]) -> CahvCamera | None:
+def _camera(path: Path, model: LabelGroup, size: tuple[int, int]) -> CahvCamera | None:
     kind = model.text("MODEL_TYPE").upper()
     if not kind or kind in ("NONE", "N/A", "UNK"):
         return None
@@ -393,7 +242,7 @@ def _camera(path: Path, model: _Group, size: tuple[int, int]) -> CahvCamera | No
         raise InputError(error.problem, source=path, field=error.field) from error
 
 
-def _rover_pose(path: Path, group: _Group) -> FloatArray | None:
+def _rover_pose(path: Path, group: LabelGroup) -> FloatArray | None:
     offset = group.numbers("ORIGIN_OFFSET_VECTOR", 3)
     quaternion = group.numbers("ORIGIN_ROTATION_QUATERNION", 4)
     if offset is None or quaternion is None:
@@ -409,7 +258,7 @@ def _rover_pose(path: Path, group: _Group) -> FloatArray | None:
     return np.asarray(ENU_T_NED @ ned_T_frd @ FLIP_YZ)
 
 
-def _sun(group: _Group) -> SunDirection | None:
+def _sun(group: LabelGroup) -> SunDirection | None:
     azimuth, elevation = (group.numbers(f"SOLAR_{name}", 1) for name in ("AZIMUTH", "ELEVATION"))
     if azimuth is None or elevation is None:
         return None
