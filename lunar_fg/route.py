@@ -3,15 +3,6 @@
 The corridor is everything within `half_width_m` of the route. Whether the rover is in it is a
 probability, since its position is a Gaussian: the share of a fixed low-discrepancy sample of
 that Gaussian that lies outside, which holds at bends as well as on straights.
-
-How far the rover can still drive follows from how its covariance has grown lately. Driving a
-further ``d`` straight on turns the yaw error into a cross-track error::
-
-    var_cross(d) = s_c^2 + (2 s_cy + q_c) d + s_y^2 d^2 + q_y d^3 / 3
-    var_along(d) = s_a^2 + q_a d
-
-with the present (co)variances ``s`` and the growth a metre ``q`` of cross-track, along-track
-and yaw variance, measured over the last steps.
 """
 
 from __future__ import annotations
@@ -19,7 +10,6 @@ from __future__ import annotations
 import csv
 import io
 import logging
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -31,8 +21,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.stats import norm, qmc
 
 from frontends.errors import InputError
-from frontends.geometry import adjoint, inverse
 from frontends.measurements import Estimate
+from lunar_fg.covariance_growth import CovarianceGrowth
 
 FloatArray = NDArray[np.float64]
 
@@ -40,11 +30,6 @@ logger = logging.getLogger("lunar_fg.route")
 
 #: Points of the sample: a probability is known to about a thousandth.
 _SAMPLE = 1024
-#: Steps over which the growth of the covariance is measured, and the least distance, m.
-_STEPS = 50
-_LEAST_M = 1.0
-#: A step after which the position variance has shrunk by this share has brought a fix.
-_FIX_SHARE = 0.1
 
 
 class RouteConfig(BaseModel):
@@ -177,7 +162,7 @@ class RouteMonitor:
         self._normal: FloatArray = norm.ppf(uniform)
         self._driven_m = 0.0
         self._last: Estimate | None = None
-        self._growth = _Growth()
+        self._growth = CovarianceGrowth()
         self._outside = self._short = False
 
     def observe(self, estimate: Estimate) -> RouteState:
@@ -275,44 +260,6 @@ class RouteMonitor:
     def _say(self, text: str) -> None:
         self.alarms.append(text)
         logger.warning(text)
-
-
-class _Growth:
-    """How fast the covariance has grown over the last steps, a metre."""
-
-    def __init__(self) -> None:
-        self._steps: deque[FloatArray] = deque(maxlen=_STEPS)
-
-    def observe(self, before: Estimate, after: Estimate) -> float:
-        """Take in one step; returns its length, m."""
-        a_T_b = inverse(before.map_T_rover) @ after.map_T_rover
-        length = float(np.linalg.norm(a_T_b[:3, 3]))
-        carry = adjoint(inverse(a_T_b))
-        carried = carry @ before.covariance @ carry.T
-        added = np.diag(after.covariance - carried)
-        trace = float(np.trace(carried[3:5, 3:5]))
-        if added[3] + added[4] > -_FIX_SHARE * trace:
-            self._steps.append(np.array([length, added[3], added[4], added[2]]))
-        return length
-
-    def range_m(self, bound_m: float, now: tuple[float, float, float, float]) -> float:
-        """Distance until 3 sigma exceeds the bound.
-
-        `now` holds the variances along and across the route and of the yaw, and the
-        covariance of cross-track and yaw.
-        """
-        along, cross, yaw, cross_yaw = now
-        limit = (bound_m / 3.0) ** 2
-        if along >= limit or cross >= limit:
-            return 0.0
-        total = np.sum(self._steps, axis=0) if self._steps else np.zeros(4)
-        if total[0] < _LEAST_M:
-            return float("nan")
-        q_along, q_cross, q_yaw = np.maximum(total[1:] / total[0], 0.0)
-        roots = np.roots([q_yaw / 3.0, yaw, 2.0 * cross_yaw + q_cross, cross - limit])
-        real = [root.real for root in roots if abs(root.imag) < 1e-9 and root.real > 0.0]
-        reach = min(real, default=float("inf"))
-        return min(reach, (limit - along) / q_along) if q_along > 0.0 else reach
 
 
 def states_text(states: Sequence[RouteState]) -> str:
