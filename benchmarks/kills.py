@@ -1,51 +1,60 @@
 """A run is killed at random moments: the resumed one must end like the uninterrupted one.
 
 Run from the checkout: ``python -m benchmarks.kills DATASET [--kills 20] [--json OUT]``. Each
-time a new run is started as a process of its own, killed at a random moment between its first
-logged frame and the time the uninterrupted run took, and resumed to the end.
+time a new run is started as a process of its own and killed with SIGKILL, a random part of a
+frame after a random number of frames is in its log; then it is resumed to the end. The runs
+with even numbers are resumed in a process that compiles all kernels anew.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import random
 import signal
+import sqlite3
 import subprocess
 import sys
 import tempfile
 import time
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 
-from lunar_fg import runs
-from lunar_fg.datasets import open_dataset
 from lunar_fg.log import TraverseLog
 from lunar_fg.run_folder import RunFolder
 from lunar_fg.trajectory import Trajectory
-from lunar_fg.warmup import warmup
+
+_QUIET = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+_POLL_S = 0.005
 
 
-def killed(dataset: Path, folder: Path, delay_s: float | None) -> tuple[bool, float]:
-    """Start a run and kill it some time after its log has a frame, or never.
+def command(*arguments: object) -> list[str]:
+    return [sys.executable, "-m", "lunar_fg.cli", *map(str, arguments)]
 
-    Returns whether it was killed before it ended, and the time since that frame, s.
-    """
-    command = [sys.executable, "-m", "lunar_fg.cli", "run", str(dataset), "-o", str(folder)]
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    with subprocess.Popen(command, **quiet) as process:
-        journal = folder / "run.db-wal"
-        while process.poll() is None and not (journal.exists() and journal.stat().st_size > 100000):
-            time.sleep(0.01)
-        start = time.perf_counter()
-        if delay_s is None:
-            process.wait()
-        else:
-            time.sleep(delay_s)
+
+def logged(database: Path) -> int:
+    """Keyframes that a run, going or not, has in its log."""
+    if not database.is_file():
+        return 0
+    with closing(sqlite3.connect(f"file:{database}?mode=ro", uri=True)) as connection:
+        try:
+            return int(connection.execute("SELECT count(*) FROM keyframe").fetchone()[0])
+        except sqlite3.OperationalError:
+            return 0
+
+
+def killed(dataset: Path, folder: Path, frames: int, part_s: float) -> bool:
+    """Start a run and kill it `part_s` after it has so many frames; False where it had ended."""
+    with subprocess.Popen(command("run", dataset, "-o", folder), **_QUIET) as process:
+        while process.poll() is None and logged(folder / "run.db") < frames:
+            time.sleep(_POLL_S)
+        time.sleep(part_s)
         alive = process.poll() is None
         process.send_signal(signal.SIGKILL)
-    return alive, time.perf_counter() - start
+    return alive
 
 
 def difference(one: Trajectory, other: Trajectory) -> float:
@@ -63,30 +72,37 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     moments, rows = random.Random(arguments.seed), []
-    warmup()
-    dataset = open_dataset(arguments.dataset)
     with tempfile.TemporaryDirectory() as place:
-        # A process like the others: code just compiled and code from the cache round differently.
-        _, took_s = killed(arguments.dataset, Path(place) / "whole", None)
-        whole = RunFolder.open(Path(place) / "whole")
+        whole = RunFolder(Path(place) / "whole")
+        start = time.perf_counter()
+        subprocess.run(command("run", arguments.dataset, "-o", whole.path), check=True, **_QUIET)
+        took_s = time.perf_counter() - start
         expected, text = whole.read_trajectory(), whole.tum_path.read_text()
+        count = len(expected)
         while len(rows) < arguments.kills:
-            path = Path(place) / f"killed-{len(rows)}"
-            if not killed(arguments.dataset, path, moments.uniform(0.0, took_s))[0]:
-                path.rename(path.with_name(f"ended-{time.monotonic_ns()}"))
+            folder = RunFolder(Path(place) / f"killed-{len(rows)}")
+            # From before the first frame to the last one.
+            frames, part_s = moments.randrange(count), moments.uniform(0.0, took_s / count)
+            if not killed(arguments.dataset, folder.path, frames, part_s):
+                folder.path.rename(folder.path.with_name(f"ended-{time.monotonic_ns()}"))
                 continue
-            folder = RunFolder.open(path)
-            with TraverseLog.open(folder.database_path) as log:
-                logged = len(log.keyframes())
+            compiled = len(rows) % 2 == 0
+            cache = {"NUMBA_CACHE_DIR": f"{place}/kernels-{len(rows)}"} if compiled else {}
+            kept = logged(folder.database_path)
             start = time.perf_counter()
-            runs.resume(dataset, folder)
+            subprocess.run(
+                command(*(["resume", folder.path] if kept else
+                          ["run", arguments.dataset, "-o", folder.path, "--overwrite"])),
+                check=True, env={**os.environ, **cache}, **_QUIET,
+            )  # fmt: skip
             seconds = time.perf_counter() - start
             gap = difference(folder.read_trajectory(), expected)
             same = folder.tum_path.read_text() == text
-            rows.append({"logged": logged, "gap": gap, "same_file": same, "resume_s": seconds})
-            print(f"killed after {logged:4d} of {len(expected)} frames: gap {gap:.1e}, "
-                  f"file {'identical' if same else 'differs'}, resumed in {seconds:.1f} s",
-                  flush=True)  # fmt: skip
+            rows.append({"logged": kept, "compiled": compiled, "gap": gap, "same_file": same,
+                         "resume_s": seconds})  # fmt: skip
+            print(f"killed after {kept:4d} of {count} frames: gap {gap:.1e}, "
+                  f"file {'identical' if same else 'differs'}, resumed in {seconds:.1f} s"
+                  f"{', kernels compiled anew' if compiled else ''}", flush=True)  # fmt: skip
     worst = max(row["gap"] for row in rows)
     identical = sum(row["same_file"] for row in rows)
     print(f"{len(rows)} kills: largest gap {worst:.1e} (target 1e-9), {identical} files identical")
