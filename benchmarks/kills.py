@@ -23,7 +23,6 @@ from pathlib import Path
 
 import numpy as np
 
-from lunar_fg.log import TraverseLog
 from lunar_fg.run_folder import RunFolder
 from lunar_fg.trajectory import Trajectory
 
