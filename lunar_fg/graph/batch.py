@@ -21,7 +21,7 @@ from lunar_fg.graph.incremental import IncrementalSmoother
 from lunar_fg.graph.keyframe import Keyframe, SmoothedTrajectory
 from lunar_fg.graph.landmarks import WholeGraph, map_point
 from lunar_fg.graph.ledger import LedgerEntry
-from lunar_fg.graph.review import Review
+from lunar_fg.graph.review import JointCovariance, Review
 
 _ITERATIONS_FACTOR = 10
 _MOST_CULPRITS = 50
@@ -105,8 +105,8 @@ def optimize_batch(
         with_fixes = gtsam.NonlinearFactorGraph(graph)
         with_fixes.push_back(entering)
         end = descend(with_fixes, at, most, whole.unsound)
-        poses, covariances, aside = _marginals(end, len(keyframes))
-        if not left or not review.revise(poses, covariances):
+        poses, covariances, aside, joint = _marginals(end, len(keyframes))
+        if not left or not review.revise(poses, covariances, joint):
             break
         graph, at, gone = without(graph, end.set_aside), end.values, gone | end.set_aside
     size = int(end.graph.size())
@@ -145,8 +145,10 @@ def _incremental(
     return smoother
 
 
-def _marginals(end: Descent, count: int) -> tuple[FloatArray, FloatArray, set[int]]:
-    """Poses, covariances, landmarks set aside; by QR, which has no 4096 rule."""
+def _marginals(
+    end: Descent, count: int
+) -> tuple[FloatArray, FloatArray, set[int], JointCovariance]:
+    """Poses, covariances, landmarks set aside, any joint; by QR, which has no 4096 rule."""
     params = gtsam.ISAM2Params()
     params.setFactorization("QR")
     params.enableRelinearization = False
@@ -165,4 +167,10 @@ def _marginals(end: Descent, count: int) -> tuple[FloatArray, FloatArray, set[in
             aside |= culprit
             graph, optimum = without(graph, culprit), values_without(optimum, culprit)
     poses = [np.asarray(optimum.atPose3(pose_key(i)).matrix()) for i in range(count)]
-    return np.stack(poses), np.stack(covariances), aside
+
+    def joint(first: int, second: int) -> FloatArray:
+        keys = [pose_key(first), pose_key(second)]
+        found = isam.jointMarginalCovariance(keys)
+        return np.block([[found.at(a, b) for b in keys] for a in keys])
+
+    return np.stack(poses), np.stack(covariances), aside, joint

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from frontends.errors import EstimationError, InputError
+from frontends.geometry import inverse, se3_log
 from frontends.measurements import AbsoluteFix, FloatArray, StartPrior, Verdict
 from lunar_fg.graph.anchors import Anchor, fix_factor, height_factor, relative_factor
 from lunar_fg.graph.config import GraphConfig
@@ -36,6 +37,9 @@ from lunar_fg.graph.planar import (
 )
 from lunar_fg.graph.vote import NONE, Ballot, Choice, Group, Vote
 
+#: Roll, pitch and height of a tangent vector; the vote is on the others.
+_OFF_PLANE = [0, 1, 5]
+
 
 class FixGraph(Protocol):
     """What the judge needs of the graph; keyframes by ordinal."""
@@ -46,6 +50,10 @@ class FixGraph(Protocol):
 
     def at(self, ordinal: int) -> tuple[FloatArray, FloatArray]:
         """Pose (4, 4) and covariance (6, 6) of a keyframe."""
+        ...
+
+    def between(self, first: int, second: int) -> tuple[FloatArray, FloatArray]:
+        """Motion (4, 4) and covariance (6, 6) between two keyframes that have an anchor."""
         ...
 
     def motion(self, first: int, second: int) -> Planar:
@@ -71,6 +79,9 @@ class _Case:
     places: tuple[Planar, ...] = ()
     base: int | None = None
     height_fits: bool = False
+    #: A loop closure's distance in roll, pitch and height, sigmas; past the gate no vote helps.
+    off_plane: float = 0.0
+    barred: bool = False
     #: Factor of one of its places.
     factor: Callable[[int], gtsam.NonlinearFactor] | None = None
     chosen: Choice = None
@@ -174,6 +185,8 @@ class FixJudge:
         case.factor = lambda _: relative_factor(
             base_anchor, anchor, closure.a_T_b, covariance, name
         )
+        case.off_plane = _off_plane(closure.a_T_b, covariance, *self._graph.between(base, ordinal))
+        case.barred = case.off_plane**2 > self._barrier
         # Taken as independent: the vote knows better.
         seen = carried(planar_of(*self._graph.at(base)), place)
         case.distance = np.array([mahalanobis_squared(seen, planar_of(*self._graph.at(ordinal)))])
@@ -228,7 +241,7 @@ class FixJudge:
         self._window.sort(key=lambda c: c.ordinal)
         if late:
             nearest = int(np.argmin(case.distance))
-            passes = bool(case.distance[nearest] <= self._barrier)
+            passes = bool(case.distance[nearest] <= self._barrier) and not case.barred
             self._carry({id(case): nearest if passes else None}, now, case)
             self._settled.sort(key=lambda c: c.ordinal)
             self._resettle()
@@ -279,7 +292,8 @@ class FixJudge:
             if base is None:
                 # Its first keyframe is behind the window: what is known of it is not voted on.
                 places = (carried(planar_of(*self._graph.at(case.base)), places[0]),)
-        return Group(tuple(Claim(station, place, base) for place in places), case.overruled)
+        forced = NONE if case.barred and case.overruled is None else case.overruled
+        return Group(tuple(Claim(station, place, base) for place in places), forced)
 
     def _carry(
         self,
@@ -347,6 +361,8 @@ class FixJudge:
             reason = failure
         elif case.overruled is not None:
             reason = f"{'accepted' if accepted else 'rejected'} by a person"
+        elif case.barred:
+            reason = f"{case.off_plane:.1f} sigma off in roll, pitch and height"
         elif case.history:
             reason = (
                 f"{'let in' if accepted else 'taken back'}: {distance:.1f} sigma from what the "
@@ -395,6 +411,15 @@ class FixJudge:
 
 def _factor_name(case: _Case, choice: int) -> str:
     return f"{case.name}, place {choice}"
+
+
+def _off_plane(
+    a_T_b: FloatArray, noise: FloatArray, predicted: FloatArray, covariance: FloatArray
+) -> float:
+    """Distance, in sigmas, of a measured motion from a predicted one in what no map fixes."""
+    off = se3_log(inverse(a_T_b) @ predicted)[_OFF_PLANE]
+    spread = (noise + covariance)[np.ix_(_OFF_PLANE, _OFF_PLANE)]
+    return float(np.sqrt(off @ np.linalg.solve(spread, off)))
 
 
 def _height_off(z_m: float, sigma_m: float, pose: FloatArray, covariance: FloatArray) -> float:

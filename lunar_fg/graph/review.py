@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import gtsam
 import numpy as np
 from scipy.stats import chi2
 
+from frontends.geometry import adjoint, inverse, se3_log
 from frontends.measurements import AbsoluteFix, FixCandidate, FloatArray, Verdict
 from lunar_fg.graph.anchors import Anchor, fix_factor, height_factor, relative_factor
 from lunar_fg.graph.config import GraphConfig
@@ -18,6 +19,8 @@ from lunar_fg.graph.ledger import Height, LedgerEntry, LoopClosure, Ruling
 from lunar_fg.graph.planar import Planar, planar, planar_jacobian, wrapped
 
 _REST_FLOOR = 1e-9
+
+JointCovariance = Callable[[int, int], FloatArray]
 
 
 class Review:
@@ -40,6 +43,7 @@ class Review:
         self._ordinal = {frame: i for i, frame in enumerate(frames)}
         self._ledger = list(ledger)
         self._barrier = float(chi2.ppf(config.fix_gate_probability, 3))
+        self._closure_barrier = float(chi2.ppf(config.fix_gate_probability, 6))
         self._height_gate = float(chi2.ppf(config.fix_gate_probability, 1))
         self._rulings = 1 + max((r.number for e in ledger for r in e.history), default=-1)
 
@@ -85,13 +89,17 @@ class Review:
                     graph.add(height_factor(anchor, what.height_m, what.sigma_height_m, pose))
         return graph, names
 
-    def revise(self, map_T_rover: FloatArray, covariance: FloatArray) -> bool:
-        """Hold every fix against what all others say, and change the worst verdict.
+    def revise(
+        self, map_T_rover: FloatArray, covariance: FloatArray, joint: JointCovariance
+    ) -> bool:
+        """Hold every fix and closure against what all others say, and change the worst verdict.
 
         Parameters
         ----------
         map_T_rover, covariance
             (N, 4, 4) and (N, 6, 6) of the solved graph, with what is accepted now.
+        joint
+            Of two keyframes by ordinal, (12, 12).
 
         Returns
         -------
@@ -101,15 +109,23 @@ class Review:
         most = 0.0
         worst: tuple[int, int | None, float] = (0, None, 0.0)
         for i, entry in enumerate(self._ledger):
-            fix, chosen = entry.measurement, entry.ruling.candidate
-            if not isinstance(fix, AbsoluteFix) or not fix.candidates or entry.ruling.by_person:
+            what, chosen = entry.measurement, entry.ruling.candidate
+            if entry.ruling.by_person or isinstance(what, Height):
                 continue
-            here = self._ordinal[fix.frame]
-            distance = _distances(fix, chosen, map_T_rover[here], covariance[here])
+            here = self._ordinal[what.frame]
+            if isinstance(what, LoopClosure):
+                base, barrier = self._ordinal[what.base], self._closure_barrier
+                ends = (map_T_rover[base], map_T_rover[here])
+                distance = _closure_distance(what, chosen is not None, *ends, joint(base, here))
+            elif what.candidates:
+                barrier = self._barrier
+                distance = _distances(what, chosen, map_T_rover[here], covariance[here])
+            else:
+                continue
             nearest = int(np.argmin(distance))
-            choice = nearest if distance[nearest] <= self._barrier else None
-            now = self._barrier if chosen is None else distance[chosen]
-            gain = float(now - min(distance[nearest], self._barrier))
+            choice = nearest if distance[nearest] <= barrier else None
+            now = barrier if chosen is None else distance[chosen]
+            gain = float(now - min(distance[nearest], barrier))
             if choice != chosen and gain > most:
                 most, worst = gain, (i, choice, float(np.sqrt(distance[nearest])))
         if most > 0.0:
@@ -143,13 +159,8 @@ def _distances(
     jacobian = planar_jacobian(pose)
     marginal, here = jacobian @ covariance @ jacobian.T, planar(pose)
     if chosen is not None:
-        # Take the fix out of the marginal again.
         place = _place(fix.candidates[chosen])
-        rest = place.covariance - marginal + _REST_FLOOR * np.eye(3)
-        off = here - place.xyyaw
-        off[2] = wrapped(off[2])
-        here = here + marginal @ np.linalg.solve(rest, off)
-        marginal = marginal + marginal @ np.linalg.solve(rest, marginal)
+        here, marginal = _without(here, marginal, place.xyyaw, place.covariance, yaw=2)
     result = np.empty(len(fix.candidates))
     for i, candidate in enumerate(fix.candidates):
         place = _place(candidate)
@@ -157,3 +168,33 @@ def _distances(
         off[2] = wrapped(off[2])
         result[i] = off @ np.linalg.solve(place.covariance + marginal, off)
     return result
+
+
+def _closure_distance(
+    closure: LoopClosure, inside: bool, base: FloatArray, here: FloatArray, joint: FloatArray
+) -> FloatArray:
+    """Squared innovation of a loop closure against everything but itself, (1,)."""
+    a_T_b, noise = inverse(base) @ here, floored(closure.covariance)
+    by_ends = np.hstack([-adjoint(inverse(a_T_b)), np.eye(6)])
+    marginal, off = by_ends @ joint @ by_ends.T, se3_log(inverse(closure.a_T_b) @ a_T_b)
+    if inside:
+        off, marginal = _without(off, marginal, np.zeros(6), noise)
+    return np.array([off @ np.linalg.solve(noise + marginal, off)])
+
+
+def _without(
+    estimate: FloatArray,
+    covariance: FloatArray,
+    measured: FloatArray,
+    noise: FloatArray,
+    yaw: int | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """Take a direct measurement out of an estimate that it went into."""
+    rest = noise - covariance + _REST_FLOOR * noise
+    off = estimate - measured
+    if yaw is not None:
+        off[yaw] = wrapped(off[yaw])
+    return (
+        estimate + covariance @ np.linalg.solve(rest, off),
+        covariance + covariance @ np.linalg.solve(rest, covariance),
+    )

@@ -68,6 +68,24 @@ def test_a_wrong_verdict_is_taken_back_in_the_whole_graph(fixed):
     assert all(not name.startswith("fix") for name in named)
 
 
+def test_a_false_closure_is_taken_back_in_the_whole_graph_and_a_true_one_let_in(fixed):
+    run, _, smoother = fixed
+    entries = list(smoother.ledger)
+    at = next(i for i, e in enumerate(entries) if e.base == 2)
+    true = entries[at].measurement
+    refused = replace(entries[at].ruling, verdict=Verdict.REFUSED, candidate=None)
+    off = np.eye(4)
+    off[2, 3] = 1.5
+    false = replace(true, base=3, frame=37, a_T_b=np.linalg.inv(run.map_T_rover[3])
+                    @ run.map_T_rover[37] @ off)  # fmt: skip
+    entries[at] = LedgerEntry(at, true, (refused,))
+    believed = replace(refused, candidate=0, verdict=Verdict.ACCEPTED)
+    entries.append(LedgerEntry(len(entries), false, (believed,)))
+    result = batch(run, entries, initial=smoother.trajectory())
+    assert result.ledger[at].ruling.verdict is Verdict.ACCEPTED
+    assert result.ledger[-1].ruling.verdict is Verdict.REFUSED
+
+
 def test_the_last_vote_is_on_all(fixed):
     run, fixes, _ = fixed
     config = GraphConfig(fix_window=1)

@@ -141,6 +141,20 @@ def test_loop_closures_are_judged_like_fixes(mode):
 
 
 @pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("off", [[0, 0, 0, 0, 0, 3.0], [0, 0.2, 0, 0, 0, 0]])
+def test_a_closure_that_is_wrong_out_of_the_plane_is_refused(mode, off):
+    """A vote in the plane would not see it."""
+    graph = smoother(mode, 61)
+    covariance = np.diag([1e-4] * 3 + [1e-3] * 3)
+    motion = inverse(RUN.map_T_rover[5]) @ RUN.map_T_rover[50]
+    decision = graph.add_relative(5, 50, motion @ se3_exp(off), covariance)
+    assert not decision.accepted
+    assert "height" in decision.reason
+    assert not graph.revote()
+    assert graph.accept(50, base=5).accepted
+
+
+@pytest.mark.parametrize("mode", MODES)
 def test_heights_anchor_the_vertical(mode):
     graph = smoother(mode, 58)
     sigma = np.sqrt(np.linalg.inv(np.linalg.inv(graph.predicted(57).covariance))[5, 5])
