@@ -123,11 +123,10 @@ class Plausibility:
             "the last one again"
         )
         self._jump = Episodes("the attitude jumped and the images did not: roll and pitch left out")
-        # Where down was when the inclinometer was last believed, rover axes, and its variance
-        # about x and y; vision carries it on.
+        # Where down was when the inclinometer was last believed, rover axes, its variance about
+        # x and y, and what vision, which carries it on, has added since.
         self._down: FloatArray | None = None
-        self._variance = 0.0
-        self._readings = 0
+        self._variance = self._drift = 0.0
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -171,9 +170,12 @@ class Plausibility:
         """Return the tilt, or None from where it jumped until it comes back.
 
         Where vision was lost in between, a new tilt cannot be compared and is believed. The
-        error of an inclinometer is mostly a bias, which no number of readings averages out: the
-        k-th reading counts 1/k of the first, so that all together say little more than one, and
-        the later ones still hold what vision lets drift.
+        error of an inclinometer is mostly a bias, which no number of readings averages out: after
+        the first, a reading s tells what vision has lost since the one before, q, and no more,
+
+            1 / s^2 = 1 / sigma^2 - 1 / (sigma^2 + q),
+
+        so that down is known to sigma at all times, and never better by their number.
         """
         self._carry(relative)
         if tilt is None:
@@ -181,13 +183,14 @@ class Plausibility:
         measured = _down(tilt)
         if self._down is not None:
             angle2 = float(np.sum(np.cross(self._down, measured) ** 2))
-            if angle2 / (self._variance + tilt.sigma_rad**2) > _TILT_GATE:
+            if angle2 / (self._variance + self._drift + tilt.sigma_rad**2) > _TILT_GATE:
                 self._jump.note(frame)
                 return None
-        self._down, self._variance = measured, tilt.sigma_rad**2
-        self._readings += 1
-        sigma_rad = min(tilt.sigma_rad * math.sqrt(self._readings), _LARGEST_TILT_SIGMA_RAD)
-        return replace(tilt, sigma_rad=sigma_rad)
+        variance = tilt.sigma_rad**2
+        if self._down is not None:
+            variance *= (variance + self._drift) / max(self._drift, 1e-12)
+        self._down, self._variance, self._drift = measured, tilt.sigma_rad**2, 0.0
+        return replace(tilt, sigma_rad=min(math.sqrt(variance), _LARGEST_TILT_SIGMA_RAD))
 
     def _carry(self, relative: RelativePose) -> None:
         if self._down is None:
@@ -197,7 +200,7 @@ class Plausibility:
             return
         seen = relative.in_frames(self._rover_T_camera)
         self._down = seen.a_T_b[:3, :3].T @ self._down
-        self._variance += float(np.linalg.eigvalsh(seen.covariance[:3, :3])[-1])
+        self._drift += float(np.linalg.eigvalsh(seen.covariance[:3, :3])[-1])
 
 
 def same_ground(before: int, now: int) -> bool:
