@@ -6,8 +6,9 @@
 The relief comes from dense stereo on the rendered images, laid out by the ESTIMATED poses of
 a run without fixes. The same ground is rendered from above under four suns and averaged to
 three ground distances. The prior is off by up to 6 m and 1 degree, the window +-15 m and
-+-3 degrees. Then the traverses are run with and without the map. Writes
-``docs/benchmarks/absolute.json`` and ``.md``.
++-3 degrees. False accepts are looked for on the maps of all the other terrains and on maps of
+nothing. Then the traverses are run with and without the map; those given with ``--runs`` are
+only run. Writes ``docs/benchmarks/absolute.json`` and ``.md``.
 """
 
 from __future__ import annotations
@@ -16,9 +17,8 @@ import argparse
 import json
 import math
 import shutil
-import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ from scipy.stats import chi2
 
 from frontends.absolute import AbsoluteAdjustment, Search, make_patch
 from frontends.geometry import inverse, pose, so3_exp, yaw_pitch_roll
-from frontends.measurements import UnusableFrame
+from frontends.measurements import AbsoluteFix, UnusableFrame
 from frontends.orbital import OrbitalMap
 from frontends.terrain import DenseStereo, TerrainMap
 from lunar_fg import runs
@@ -43,7 +43,7 @@ from lunar_fg.simulation.spec import OrbitalSpec, SunSpec, read_spec
 
 SUN_DIFFERENCES_DEG = (0.0, 45.0, 90.0, 180.0)
 GSDS_M = (0.25, 0.5, 1.0)
-LENGTHS_M = (10.0, 20.0, 40.0)
+LENGTHS_M = (10.0, 20.0, 40.0, 60.0)
 MAP_ELEVATION_DEG = 35.0
 WINDOW = Search(15.0, 15.0, math.radians(3.0))
 RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks"
@@ -204,24 +204,29 @@ def anchors(ground: Ground, length: float, spacing_m: float = 8.0) -> list[int]:
     return chosen[::step]
 
 
-def trials(folder: Path, ground: Ground, work: Path) -> Iterator[Trial]:
-    def opened(path: Path) -> OrbitalMap:
+def trials(ground: Ground, work: Path, strangers: list[str]) -> Iterator[Trial]:
+    """All attempts on a terrain's ground; `strangers` name terrains that it is not."""
+
+    def opened(name: str, kind: float | str, gsd: float) -> OrbitalMap:
+        text = kind if isinstance(kind, str) else f"{kind:.0f}"
+        path = work / f"{name}_{text}_{gsd}.tif"
         return OrbitalMap.open(path, crs=ground.crs, origin_m=ground.origin)
 
     for gsd in GSDS_M:
-        maps = {d: opened(work / f"{ground.name}_{d:.0f}_{gsd}.tif") for d in SUN_DIFFERENCES_DEG}
-        blank = work / f"{ground.name}_blank_{gsd}.tif"
-        featureless(work / f"{ground.name}_0_{gsd}.tif", blank, ground)
+        featureless(work / f"{ground.name}_0_{gsd}.tif",
+                    work / f"{ground.name}_blank_{gsd}.tif", ground)  # fmt: skip
+        maps = {d: opened(ground.name, d, gsd) for d in SUN_DIFFERENCES_DEG}
+        blank = opened(ground.name, "blank", gsd)
+        wrong = [opened(name, d, gsd) for name in strangers for d in SUN_DIFFERENCES_DEG]
         for length in LENGTHS_M:
             for n, anchor in enumerate(anchors(ground, length)):
                 for difference, orbital in maps.items():
                     seed = int(1000 * n + difference)
                     yield attempt(ground, orbital, anchor, length, seed, "right map", difference)
-                yield attempt(ground, opened(blank), anchor, length, n, "featureless", math.nan)
-    wrong = opened(folder / "orbital_wrong" / "ortho.tif")
-    for length in LENGTHS_M:
-        for n, anchor in enumerate(anchors(ground, length, 4.0)):
-            yield attempt(ground, wrong, anchor, length, n, "wrong map", math.nan)
+                yield attempt(ground, blank, anchor, length, n, "featureless", math.nan)
+                for k, orbital in enumerate(wrong):
+                    seed = 1000 * n + k
+                    yield attempt(ground, orbital, anchor, length, seed, "wrong map", math.nan)
 
 
 def full_runs(folder: Path, work: Path) -> dict[str, Any]:
@@ -246,12 +251,15 @@ def full_runs(folder: Path, work: Path) -> dict[str, Any]:
             "median_m": float(np.median(distance)),
             "after_first_fix_max_m": float(distance[len(distance) // 2 :].max()),
             "drift_final_m": float(np.linalg.norm(drift[-1])),
+            "thirds_m": [float(np.median(part)) for part in np.array_split(distance, 3)],
         }
+        result["length_m"] = float(np.linalg.norm(np.diff(true[:, :3, 3], axis=0), axis=1).sum())
         if use:
             from lunar_fg.ledger import read_ledger
 
             entries = read_ledger(run)
-            result["fixes"] = [entry.ruling.verdict.value for entry in entries]
+            fixes = [e for e in entries if isinstance(e.measurement, AbsoluteFix)]
+            result["fixes"] = [entry.ruling.verdict.value for entry in fixes]
         else:
             by_wheels = run.read_dead_reckoning()
             if by_wheels is not None:
@@ -349,48 +357,54 @@ def write(rows: list[Trial], drives: list[dict[str, object]], out: Path) -> None
         "Horizontal error against truth without any alignment, m; the start prior is wrong by "
         "some decimetres, which only fixes can remove. Map sun 135 deg from the rover's.",
         "",
-        "| terrain | wheels final | vision final / median | with fixes final / median | fixes |",
-        "|---|---|---|---|---|",
+        "| terrain | length | wheels final | vision final / median | with fixes final / median "
+        "| with fixes, medians of the thirds | fixes |",
+        "|---|---|---|---|---|---|---|",
     ]
     for d in drives:
         wheels, vision, fixes = d.get("wheels"), d["vision"], d["vision + fixes"]
         w = "-" if wheels is None else f"{wheels['final_m']:.2f}"
         lines.append(
-            f"| {d['terrain']} | {w} | {vision['final_m']:.2f} / {vision['median_m']:.2f} | "
+            f"| {d['terrain']} | {d['length_m']:.0f} m | {w} | "
+            f"{vision['final_m']:.2f} / {vision['median_m']:.2f} | "
             f"{fixes['final_m']:.2f} / {fixes['median_m']:.2f} | "
+            f"{', '.join(f'{m:.2f}' for m in fixes['thirds_m'])} | "
             f"{d['fixes'].count('accepted')} of {len(d['fixes'])} |"
         )
     (out / "absolute.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def evaluated(folder: Path, work: Path) -> dict[str, Any]:
-    """Trials and runs of one terrain; kept in `work`, so that terrains can go in parallel."""
-    kept = work / f"{folder.name}.json"
-    if not kept.exists():
-        ground = drive(folder)
-        render_maps(folder, ground, work)
-        rows = []
-        for trial in trials(folder, ground, work):
-            rows.append(asdict(trial))
-            sys.stderr.write(f"\r{folder.name}: {len(rows)} trials")
-        sys.stderr.write("\n")
-        kept.write_text(json.dumps({"trials": rows, "runs": full_runs(folder, work)}))
-    return dict(json.loads(kept.read_text()))
+def kept(path: Path, make: Callable[[], Any]) -> Any:
+    """What was made before, so that an interrupted benchmark goes on."""
+    if not path.exists():
+        path.write_text(json.dumps(make()))
+    return json.loads(path.read_text())
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("datasets", nargs="+", type=Path)
+    parser.add_argument("--runs", nargs="*", default=[], type=Path)
     parser.add_argument("--work", type=Path, default=Path("build/absolute"))
     parser.add_argument("--out", type=Path, default=RESULTS)
     arguments = parser.parse_args()
-    arguments.work.mkdir(parents=True, exist_ok=True)
+    work: Path = arguments.work
+    work.mkdir(parents=True, exist_ok=True)
+    grounds = {folder: drive(folder) for folder in arguments.datasets}
+    for folder, ground in grounds.items():
+        render_maps(folder, ground, work)
     rows: list[Trial] = []
-    drives: list[dict[str, object]] = []
-    for folder in arguments.datasets:
-        found = evaluated(folder, arguments.work)
-        rows += [Trial(**trial) for trial in found["trials"]]
-        drives.append(found["runs"])
+    for folder, ground in grounds.items():
+        strangers = [other.name for other in grounds if other != folder]
+
+        def tried(ground: Ground = ground, strangers: list[str] = strangers) -> list[Any]:
+            return [asdict(trial) for trial in trials(ground, work, strangers)]
+
+        rows += [Trial(**t) for t in kept(work / f"{folder.name}_trials.json", tried)]
+    drives = [
+        kept(work / f"{folder.name}_runs.json", lambda folder=folder: full_runs(folder, work))
+        for folder in (*arguments.datasets, *arguments.runs)
+    ]
     write(rows, drives, arguments.out)
 
 

@@ -25,6 +25,9 @@ from frontends.terrain import Grid
 
 FloatArray = NDArray[np.float64]
 
+#: Larger cells do not show the relief that makes an image, m.
+_COARSEST_CELL_M = 0.5
+
 
 @dataclass(frozen=True, slots=True)
 class AbsoluteConfig:
@@ -32,8 +35,8 @@ class AbsoluteConfig:
 
     Attributes
     ----------
-    length_cells, least_length_m, most_length_m
-        Length of the drive whose ground makes a patch: so many cells of the map, within
+    length_pixels, least_length_m, most_length_m
+        Length of the drive whose ground makes a patch: so many pixels of the map, within
         these limits.
     least_cells
         Cells of known ground that a patch needs.
@@ -42,8 +45,8 @@ class AbsoluteConfig:
         which a place is believed.
     inflation
         Factor on the 1-sigma of correlation peaks, from Monte Carlo runs against truth.
-    floor_cells
-        1-sigma that no fix falls below, in map cells.
+    floor_pixels
+        1-sigma that no fix falls below, in map pixels.
     dem_sigma_m
         1-sigma of the elevation model's heights.
     candidates
@@ -52,19 +55,19 @@ class AbsoluteConfig:
 
     __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
 
-    length_cells: Annotated[float, Gt(0)] = 80.0
+    length_pixels: Annotated[float, Gt(0)] = 80.0
     least_length_m: Annotated[float, Gt(0)] = 20.0
-    most_length_m: Annotated[float, Gt(0)] = 80.0
+    most_length_m: Annotated[float, Gt(0)] = 60.0
     least_cells: Annotated[int, Ge(1)] = 800
     false_alarm: Annotated[float, Gt(0), Lt(1)] = 1e-5
     inflation: Annotated[float, Gt(0)] = 1.8
-    floor_cells: Annotated[float, Ge(0)] = 0.1
+    floor_pixels: Annotated[float, Ge(0)] = 0.1
     dem_sigma_m: Annotated[float, Gt(0)] = 0.3
     candidates: Annotated[int, Ge(1)] = 3
 
     def length_m(self, gsd_m: float) -> float:
         """Length of a patch for a map of this ground distance."""
-        return min(max(self.length_cells * gsd_m, self.least_length_m), self.most_length_m)
+        return min(max(self.length_pixels * gsd_m, self.least_length_m), self.most_length_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,13 +115,17 @@ class AbsoluteAdjustment:
 
     @property
     def cell_m(self) -> float:
-        """Cells that patches are compared in: those of the finest layer."""
-        return self.orbital.gsd_m
+        """Cells that patches are compared in: the map's pixels, or halves of coarse ones.
+
+        A relief is lit on cells that show its slopes; in pixels of a metre they are gone.
+        """
+        gsd_m = self.orbital.gsd_m
+        return gsd_m / math.ceil(gsd_m / _COARSEST_CELL_M - 1e-6)
 
     @property
     def length_m(self) -> float:
         """Length of drive that a patch should show."""
-        return self.config.length_m(self.cell_m)
+        return self.config.length_m(self.orbital.gsd_m)
 
     def locate(self, patch: ReliefPatch | None, frame: int, search: Search) -> Adjustment:
         """Look for a patch within a window about the pose it was laid out by.
@@ -203,7 +210,7 @@ class AbsoluteAdjustment:
         return ""
 
     def _agree(self, first: Peak, second: Peak) -> bool:
-        sigma = 3.0 * max(self.cell_m, self._sigma(first), self._sigma(second))
+        sigma = 3.0 * max(self.orbital.gsd_m, self._sigma(first), self._sigma(second))
         return math.hypot(first.x_m - second.x_m, first.y_m - second.y_m) < sigma
 
     def _sigma(self, peak: Peak) -> float:
@@ -211,7 +218,7 @@ class AbsoluteAdjustment:
 
     def _candidate(self, patch: ReliefPatch, proposal: Proposal, peak: Peak) -> FixCandidate:
         covariance = (self.config.inflation * proposal.inflation) ** 2 * peak.covariance
-        floor = self.config.floor_cells * self.cell_m
+        floor = self.config.floor_pixels * self.orbital.gsd_m
         covariance = covariance + np.diag([floor**2, floor**2, (floor / self.length_m) ** 2])
         yaw = math.remainder(patch.yaw_rad + peak.yaw_rad, 2.0 * math.pi)
         return FixCandidate(

@@ -19,12 +19,12 @@ FloatArray = NDArray[np.float64]
 Layer = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-#: What is kept of an image: structure below about this many cells (Gaussian's sigma).
-_HIGH_PASS_CELLS = 3.0
-#: Elevation models are smoother than their cells, and their errors are long.
-_DEM_HIGH_PASS_CELLS = 6.0
+#: What is kept of an image: structure below about this many map pixels (Gaussian's sigma).
+_HIGH_PASS_PIXELS = 3.0
+#: Elevation models are smoother than their pixels, and their errors are long.
+_DEM_HIGH_PASS_PIXELS = 6.0
 #: The relief is blurred like the orbital image.
-_BLUR_CELLS = 0.7
+_BLUR_PIXELS = 0.7
 
 
 def anchor_cell(patch: ReliefPatch) -> tuple[float, float]:
@@ -48,18 +48,33 @@ def padded(patch: ReliefPatch) -> tuple[Layer, Layer, Mask, tuple[float, float]]
     return heights, ortho, known, (row - top, column - left)
 
 
-def relit(heights: Layer, mask: Mask, cell_m: float, sun: SunDirection) -> tuple[Layer, Mask]:
-    """Image of a relief under another sun, blurred like an orbital image."""
-    ground = np.where(mask, smooth(heights, mask, _BLUR_CELLS), np.nan).astype(np.float32)
+def relit(
+    heights: Layer, mask: Mask, cell_m: float, sun: SunDirection, pixel: float = 1.0
+) -> tuple[Layer, Mask]:
+    """Image of a relief under another sun, blurred like an orbital image.
+
+    `pixel` is that image's, in cells.
+    """
+    ground = np.where(mask, smooth(heights, mask, _BLUR_PIXELS * pixel), np.nan)
+    ground = ground.astype(np.float32)
     image = shade(ground, cell_m, sun)
     known = np.isfinite(image)
     return np.where(known, image, 0.0).astype(np.float32), known
 
 
 def rendered_channels(
-    patch: ReliefPatch, window: MapWindow, sun: SunDirection
+    patch: ReliefPatch, window: MapWindow, sun: SunDirection, pixel: float = 1.0
 ) -> tuple[list[Channel], tuple[float, float]]:
     """Re-lit relief against the image: brightness, and its gradient east and south.
+
+    Parameters
+    ----------
+    patch, window
+        What is compared, in cells of one size.
+    sun
+        Of the image.
+    pixel
+        The image's own pixel, in cells.
 
     Returns
     -------
@@ -69,12 +84,12 @@ def rendered_channels(
     heights, _, known, centre = padded(patch)
     cell = patch.grid.cell_m
     image, mask = _image(window)
-    brightness = high_pass(image, mask, _HIGH_PASS_CELLS)
+    brightness = high_pass(image, mask, _HIGH_PASS_PIXELS * pixel)
 
     @lru_cache(maxsize=1)  # the three channels ask for the same turn one after the other
     def template(yaw: float) -> tuple[Layer, Mask]:
-        lit, seen = relit(*turned(heights, known, yaw, centre), cell, sun)
-        return high_pass(lit, seen, _HIGH_PASS_CELLS), seen
+        lit, seen = relit(*turned(heights, known, yaw, centre), cell, sun, pixel)
+        return high_pass(lit, seen, _HIGH_PASS_PIXELS * pixel), seen
 
     def gradient(axis: int) -> Channel:
         def turned_gradient(yaw: float) -> tuple[Layer, Mask]:
@@ -87,9 +102,9 @@ def rendered_channels(
 
 
 def elevation_channels(
-    patch: ReliefPatch, window: MapWindow
+    patch: ReliefPatch, window: MapWindow, pixel: float = 1.0
 ) -> tuple[list[Channel], tuple[float, float]]:
-    """The relief's slopes against those of the orbital elevation model."""
+    """The relief's slopes against those of the orbital elevation model; see the other."""
     heights, _, known, centre = padded(patch)
     cell = patch.grid.cell_m
     model = window.values
@@ -98,15 +113,17 @@ def elevation_channels(
     def part(axis: int) -> Channel:
         reference = slopes(np.where(mask, model, np.nan), cell)[axis]
         seen = np.isfinite(reference)
-        image = high_pass(np.nan_to_num(reference).astype(np.float32), seen, _DEM_HIGH_PASS_CELLS)
+        image = high_pass(
+            np.nan_to_num(reference).astype(np.float32), seen, _DEM_HIGH_PASS_PIXELS * pixel
+        )
 
         def template(yaw: float) -> tuple[Layer, Mask]:
             values, there = turned(heights, known, yaw, centre)
-            ground = np.where(there, smooth(values, there, 1.0), np.nan)
+            ground = np.where(there, smooth(values, there, pixel), np.nan)
             slope = slopes(ground, cell)[axis]
             there = np.isfinite(slope)
             filled = np.nan_to_num(slope).astype(np.float32)
-            return high_pass(filled, there, _DEM_HIGH_PASS_CELLS), there
+            return high_pass(filled, there, _DEM_HIGH_PASS_PIXELS * pixel), there
 
         return Channel(image, seen, template)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from frontends.absolute.channels import elevation_channels, rendered_channels
 from frontends.absolute.patch import ReliefPatch
-from frontends.absolute.proposal import Proposal, radius_m, window_bounds
+from frontends.absolute.proposal import Proposal, map_pixel, radius_m, window_bounds
 from frontends.absolute.search import Channel, Search, correlate, find_peak, yaw_steps
 from frontends.orbital import MapWindow, OrbitalMap
 
@@ -35,10 +35,11 @@ class RelitRelief:
         if orbital.sun.elevation_deg <= 0.0:
             return Proposal(self.name, reason="too dark: the map's sun is below the horizon")
         window = orbital.ortho.window(window_bounds(patch, search), patch.grid.cell_m)
-        sun = orbital.sun
+        sun, pixel = orbital.sun, map_pixel(orbital, patch)
         return _correlated(
-            self.name, patch, window, search, lambda: rendered_channels(patch, window, sun)
-        )
+            self.name, patch, window, search, pixel,
+            lambda: rendered_channels(patch, window, sun, pixel),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,9 +54,11 @@ class ReliefInDem:
             return Proposal(self.name, reason="no elevation model")
         window = orbital.height(window_bounds(patch, search), patch.grid.cell_m)
         assert window is not None
+        pixel = map_pixel(orbital, patch)
         found = _correlated(
-            self.name, patch, window, search, lambda: elevation_channels(patch, window)
-        )
+            self.name, patch, window, search, pixel,
+            lambda: elevation_channels(patch, window, pixel),
+        )  # fmt: skip
         return replace(found, inflation=_DEM_INFLATION)
 
 
@@ -64,6 +67,7 @@ def _correlated(
     patch: ReliefPatch,
     window: MapWindow,
     search: Search,
+    pixel: float,
     make: Callable[[], tuple[list[Channel], tuple[float, float]]],
 ) -> Proposal:
     known = float(np.isfinite(window.values).mean())
@@ -76,7 +80,7 @@ def _correlated(
         return Proposal(name, reason="too dark or flat under the map's sun", window=window)
     yaws = yaw_steps(search.half_yaw_rad, 0.6 * radius_m(patch), patch.grid.cell_m)
     volume = correlate(channels, yaws, window.grid, anchor)
-    peak = find_peak(volume)
+    peak = find_peak(volume, pixel)
     shown = MapWindow(window.grid, np.where(channels[0].mask, channels[0].image, np.nan))
     picture = np.where(seen, template, np.nan).astype(np.float32)
     reason = "" if peak else "the map does not hold the patch anywhere in the window"

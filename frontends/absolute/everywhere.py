@@ -11,16 +11,16 @@ from frontends.absolute.adjustment import AbsoluteAdjustment, Adjustment
 from frontends.absolute.channels import padded, rendered_channels
 from frontends.absolute.correlating import RelitRelief
 from frontends.absolute.patch import ReliefPatch
-from frontends.absolute.proposal import Proposal, radius_m, window_bounds
+from frontends.absolute.proposal import Proposal, map_pixel, radius_m, window_bounds
 from frontends.absolute.search import Peak, Search, Volume, correlate, turned, yaw_steps
 from frontends.orbital import OrbitalMap
 from frontends.terrain import Grid
 
 #: Places of the coarse search that are looked at closely.
 _PLACES = 12
-_APART_CELLS = 6
+_APART_PIXELS = 6
 #: Half width of the close look: what a place stands out from must be in it too.
-_NEAR_CELLS = 24.0
+_NEAR_PIXELS = 24.0
 
 
 class EverywhereRelief:
@@ -49,14 +49,15 @@ class EverywhereRelief:
             return Proposal(self.name, reason="needs an ortho image and its sun")
         coarse = self._coarse
         window = orbital.ortho.window(window_bounds(coarse, search), coarse.grid.cell_m)
-        channels, anchor = rendered_channels(coarse, window, orbital.sun)
+        pixel = map_pixel(orbital, coarse)
+        channels, anchor = rendered_channels(coarse, window, orbital.sun, pixel)
         yaws = yaw_steps(search.half_yaw_rad, 0.6 * radius_m(coarse), coarse.grid.cell_m)
         volume = correlate(channels[:1], yaws, window.grid, anchor)
         step = float(yaws[1] - yaws[0])
         found: list[Proposal] = []
-        for x, y, yaw in _best_places(volume):
+        for x, y, yaw in _best_places(volume, round(_APART_PIXELS * pixel)):
             moved = _laid_out(patch, x, y, yaw)
-            half = _NEAR_CELLS * patch.grid.cell_m
+            half = _NEAR_PIXELS * orbital.gsd_m
             near = Search(half, half, 1.5 * step)
             proposal = RelitRelief().propose(moved, orbital, near)
             if proposal.peak is not None:
@@ -93,7 +94,7 @@ def _laid_out(patch: ReliefPatch, x: float, y: float, yaw: float) -> ReliefPatch
     )
 
 
-def _best_places(volume: Volume) -> list[tuple[float, float, float]]:
+def _best_places(volume: Volume, apart: int) -> list[tuple[float, float, float]]:
     """The highest maxima that are apart in x and y."""
     values = np.where(np.isfinite(volume.values), volume.values, -1.0)
     if values.size == 0:
@@ -107,8 +108,8 @@ def _best_places(volume: Volume) -> list[tuple[float, float, float]]:
         x, y = volume.grid.place(np.array(j), np.array(i))
         places.append((float(x), float(y), float(volume.yaws_rad[which[i, j]])))
         best[
-            max(0, i - _APART_CELLS) : i + _APART_CELLS + 1,
-            max(0, j - _APART_CELLS) : j + _APART_CELLS + 1,
+            max(0, i - apart) : i + apart + 1,
+            max(0, j - apart) : j + apart + 1,
         ] = -1.0
     return places
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from frontends.absolute.channels import relit
 from frontends.absolute.correlation import high_pass
 from frontends.absolute.patch import ReliefPatch
-from frontends.absolute.proposal import Proposal, window_bounds
+from frontends.absolute.proposal import Proposal, map_pixel, window_bounds
 from frontends.absolute.search import Peak, Search
 from frontends.detector import FeatureDetector
 from frontends.matching import find_similarity, match_descriptors
@@ -65,7 +65,8 @@ class SurfMatching:
             if orbital.sun is None:
                 return Proposal(self.name, reason="the map's sun is not known")
             heights = np.where(patch.mask, patch.height_m, 0.0).astype(np.float32)
-            lit, seen = relit(heights, patch.mask, patch.grid.cell_m, orbital.sun)
+            pixel = map_pixel(orbital, patch)
+            lit, seen = relit(heights, patch.mask, patch.grid.cell_m, orbital.sun, pixel)
             values = np.where(seen, lit, np.nan).astype(np.float32)
         window = orbital.ortho.window(window_bounds(patch, search), patch.grid.cell_m)
         found = match_layers(MapWindow(patch.grid, values), window, self.detector)

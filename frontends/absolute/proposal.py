@@ -62,6 +62,11 @@ class Proposer(Protocol):
         ...
 
 
+def map_pixel(orbital: OrbitalMap, patch: ReliefPatch) -> float:
+    """The map's pixel in cells of the patch; at least one."""
+    return max(1.0, orbital.gsd_m / patch.grid.cell_m)
+
+
 def radius_m(patch: ReliefPatch) -> float:
     """Distance of the farthest known cell from the anchor."""
     rows, columns = np.nonzero(patch.mask)

@@ -17,8 +17,8 @@ FloatArray = NDArray[np.float64]
 Layer = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-#: A second place is one outside of the best one's own peak: cells away.
-_PEAK_CELLS = 4
+#: A second place is one outside of the best one's own peak: map pixels away.
+_PEAK_PIXELS = 4.0
 #: Yaws beside the searched ones that a peak at the edge needs for its curvature.
 _LEAST_YAWS = 3
 
@@ -174,8 +174,10 @@ def turned(values: Layer, mask: Mask, yaw_rad: float, centre: tuple[float, float
     return np.where(known, total / np.maximum(weight, 1e-3), 0.0).astype(np.float32), known
 
 
-def find_peak(volume: Volume) -> Peak | None:
+def find_peak(volume: Volume, pixel: float = 1.0) -> Peak | None:
     """The best place, how far it stands out, and how well it is known.
+
+    `pixel` is the map's own, in cells: what lies nearer together is not independent.
 
     With A the negative curvature of the surface at the peak and G the covariance of the
     surface's gradient away from it (what noise does to the slope), the place errs by
@@ -192,8 +194,8 @@ def find_peak(volume: Volume) -> Peak | None:
     middle = float(np.median(fisher))
     spread = max(1.4826 * float(np.median(np.abs(fisher - middle))), 1e-6)
     elsewhere = known.copy()
-    elsewhere[:, max(0, i - _PEAK_CELLS) : i + _PEAK_CELLS + 1,
-              max(0, j - _PEAK_CELLS) : j + _PEAK_CELLS + 1] = -1.0  # fmt: skip
+    own = round(_PEAK_PIXELS * pixel)
+    elsewhere[:, max(0, i - own) : i + own + 1, max(0, j - own) : j + own + 1] = -1.0
     best_elsewhere = float(elsewhere.max())
     standing = (math.atanh(min(value, 0.999)) - middle) / spread
     second = max((math.atanh(max(best_elsewhere, -0.999)) - middle) / spread, 0.0)
@@ -208,7 +210,7 @@ def find_peak(volume: Volume) -> Peak | None:
     to_map = np.diag([volume.grid.cell_m, -volume.grid.cell_m, step])
     covariance = np.full((3, 3), np.nan)
     if np.all(np.linalg.eigvalsh(curvature) > 1e-6):
-        noise = _gradient_covariance(values, (k0, i0, j0)) * (1.0 - value**2)
+        noise = _gradient_covariance(values, (k0, i0, j0), 2 * own) * (1.0 - value**2)
         inverse = np.linalg.inv(curvature)
         covariance = to_map @ inverse @ noise @ inverse @ to_map
     x, y = volume.grid.place(np.array(j0 + offset[0]), np.array(i0 + offset[1]))
@@ -231,12 +233,12 @@ def _quadratic(block: Layer) -> tuple[FloatArray, FloatArray]:
     return np.zeros(3), curvature
 
 
-def _gradient_covariance(values: Layer, peak: tuple[int, int, int]) -> FloatArray:
-    """Covariance of the surface's gradient (column, row, yaw) away from the peak."""
+def _gradient_covariance(values: Layer, peak: tuple[int, int, int], own: int) -> FloatArray:
+    """Covariance of the surface's gradient (column, row, yaw) away from the peak, `own` cells."""
     _, i, j = peak
     along_yaw, along_row, along_column = list(np.gradient(values.astype(np.float64)))
     away = np.isfinite(along_yaw + along_row + along_column)
-    away[:, max(0, i - 8) : i + 9, max(0, j - 8) : j + 9] = False
+    away[:, max(0, i - own) : i + own + 1, max(0, j - own) : j + own + 1] = False
     if np.count_nonzero(away) < 100:
         away = np.isfinite(along_yaw + along_row + along_column)
     samples = np.stack([along_column[away], along_row[away], along_yaw[away]])
