@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
@@ -88,6 +88,11 @@ class Localisation:
         The map.
     config, absolute, dense, motion
         Settings.
+
+    Attributes
+    ----------
+    on_attempt
+        Called with each attempt, e.g. to draw it; attempts are not kept.
     """
 
     def __init__(
@@ -103,7 +108,7 @@ class Localisation:
         self.config = config or LocalisationConfig()
         self._motion = motion or MotionConfig()
         self.terrain = TerrainMap()
-        self.attempts: list[Adjustment] = []
+        self.on_attempt: Callable[[Adjustment], None] | None = None
         self.adjustment = AbsoluteAdjustment(orbital, absolute)
         self._camera = camera
         self._rover_T_camera = rover_T_camera
@@ -237,7 +242,7 @@ class Localisation:
     def attempt(self, smoother: IncrementalSmoother, *, last: bool = False) -> Adjustment | None:
         """Look for the ground in the map if there is enough of it; None when there is not.
 
-        The result is in `attempts` too; tell `settle` what the graph made of it.
+        Tell `settle` what the graph made of it.
         """
         anchor = self._due(smoother, last)
         if anchor is None:
@@ -251,7 +256,8 @@ class Localisation:
         sigma = np.sqrt(np.maximum(np.diag(planar.covariance), 0.0))
         result = self.adjustment.locate(patch, anchor, self._search(sigma))
         self._tried.add(anchor)
-        self.attempts.append(result)
+        if self.on_attempt is not None:
+            self.on_attempt(result)
         return result
 
     def settle(self, accepted: bool) -> None:

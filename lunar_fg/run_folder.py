@@ -187,6 +187,11 @@ class RunFolder:
         """Folder of the pictures."""
         return self.path / "plots"
 
+    @property
+    def fixes_path(self) -> Path:
+        """Folder of the pictures of absolute fixes, see `lunar_fg.fix_pictures`."""
+        return self.path / "fixes"
+
     def write_trajectory(
         self, trajectory: Trajectory, *, rover_T_camera: FloatArray | None = None
     ) -> None:
@@ -275,6 +280,7 @@ class RunFolder:
             # The mark goes last: an interrupted clean-up leaves a folder still known as a run's.
             stale = [self.path / name for name in (*_FILES[1:], *_LATER_FILES)]
             stale += [file for kind in _PICTURES for file in self.plots_path.glob(kind)]
+            stale += self.fixes_path.glob("fix_*.jpg")
             stale += self.path.glob(".*.tmp")
             for file in stale:
                 file.unlink(missing_ok=True)

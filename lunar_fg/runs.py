@@ -18,6 +18,7 @@ from lunar_fg.config import Config
 from lunar_fg.datasets.base import Dataset, GroundTruth
 from lunar_fg.evaluation import Accuracy, Metrics, evaluate, share_start, without_truth
 from lunar_fg.evaluation.plots import write_plots
+from lunar_fg.fix_pictures import FixPictures
 from lunar_fg.frame_table import FrameTable
 from lunar_fg.graph.batch import optimize_batch
 from lunar_fg.graph.convergence import ConvergenceReport
@@ -352,6 +353,8 @@ def _drive(
     if route is not None:
         for estimate in earlier:
             route.observe(estimate)
+    if navigator.localisation is not None:
+        navigator.localisation.on_attempt = FixPictures(folder.fixes_path).draw
     in_order = InOrder(frames)
     try:
         with EstimateRecorder(folder, navigator.rover_T_camera, earlier) as recorder:

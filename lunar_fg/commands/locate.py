@@ -16,7 +16,7 @@ from rich.progress import Progress
 from frontends.errors import InputError
 from frontends.measurements import SunDirection
 from lunar_fg.commands.shared import err, out
-from lunar_fg.fix_pictures import draw_fix
+from lunar_fg.fix_pictures import FixPictures
 from lunar_fg.localisation import describe
 from lunar_fg.locate import ground_of, locate, map_of
 from lunar_fg.results import read_results
@@ -62,8 +62,7 @@ def locate_command(
         if not json:
             out.print(describe(adjustment), markup=False)
         if pictures is not None:
-            pictures.mkdir(parents=True, exist_ok=True)
-            draw_fix(adjustment, pictures / f"fix_{adjustment.fix.frame:06d}.png")
+            FixPictures(pictures).draw(adjustment)
     if json:
         sys.stdout.write(dumps([asdict(fix) for fix in found], default=_plain) + "\n")
     if not any(fix.candidates for fix in found):

@@ -1,7 +1,8 @@
-"""The fixes of a run for the report: what was decided, and what both sides saw."""
+"""The fixes of a run for the report: what was decided, and how it came about."""
 
 from __future__ import annotations
 
+from base64 import b64encode
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from frontends.errors import LunarFgError
 from frontends.measurements import AbsoluteFix, Verdict
 from lunar_fg import replay
+from lunar_fg.fix_pictures import FixPictures
 from lunar_fg.graph.ledger import LedgerEntry
 from lunar_fg.ledger import entry_values
 from lunar_fg.report.orbital_image import thumbnail
@@ -34,9 +36,10 @@ class FixRow:
         Proposer, score and the like, as text by name.
     reason, history
         In words; earlier verdicts, if they changed.
-    rover, orbital
-        Thumbnails of the same ground by the rover's own map and by the orbital one, as data
-        URIs; "" where there is none.
+    picture
+        What the run drew of it (`lunar_fg.fix_pictures`), as a data URI; "" where it did not.
+    orbital
+        Instead, a thumbnail of the orbital map about it, as a data URI or "".
     """
 
     keyframe: str
@@ -44,7 +47,7 @@ class FixRow:
     facts: dict[str, str]
     reason: str
     history: str
-    rover: str
+    picture: str
     orbital: str
 
 
@@ -73,18 +76,18 @@ def without_fixes(results: RunResults) -> tuple[Trajectory | None, str]:
 def _row(results: RunResults, entry: LedgerEntry, pictured: bool) -> FixRow:
     values = entry_values(entry)
     measurement = entry.measurement
-    rover = orbital = ""
-    if pictured and isinstance(measurement, AbsoluteFix) and measurement.candidates:
-        place = measurement.candidates[entry.ruling.candidate or 0]
-        centre = np.array([place.x_m, place.y_m])
+    picture = orbital = ""
+    if pictured and isinstance(measurement, AbsoluteFix):
+        drawn = FixPictures(results.folder.fixes_path).path(entry.frame)
         source = results.source
-        if source is not None and source.ortho is not None:
+        if drawn.is_file():
+            picture = "data:image/jpeg;base64," + b64encode(drawn.read_bytes()).decode()
+        elif measurement.candidates and source is not None and source.ortho is not None:
+            place = measurement.candidates[entry.ruling.candidate or 0]
+            centre = np.array([place.x_m, place.y_m])
             orbital = thumbnail(source.ortho, results.georeference, centre, _SHOWN_M)
-        own = results.folder.path / "map" / "ortho.tif"
-        if own.is_file():
-            rover = thumbnail(own, results.georeference, centre, _SHOWN_M)
     facts = {
-        "proposed by": values["proposer"] or values["kind"],
+        "proposed by": values["proposer"] or {"closure": "an old place"}.get(values["kind"], ""),
         "score": _text(values["score"]),
         "inliers": _text(values["inliers"] or None),
         "second best / best": _text(values["second_best_ratio"]),
@@ -98,7 +101,7 @@ def _row(results: RunResults, entry: LedgerEntry, pictured: bool) -> FixRow:
         {name: text for name, text in facts.items() if text},
         values["reason"],
         "; ".join(past),
-        rover,
+        picture,
         orbital,
     )
 

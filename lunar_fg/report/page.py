@@ -123,7 +123,7 @@ def _section(
         folder=str(results.folder.path),
         cards=cards(results, compared),
         sentences=sentences(results, compared),
-        remarks=[*remarks(results), *notes, *filter(None, fixless[1:]), *_missing(results)],
+        remarks=[*remarks(results), *notes, *filter(None, fixless[1:])],
         figures=list(_figures(key, results, compared, picture, fixless[0])),
         fixes=fix_rows(results),
         timing=_timing(results),
@@ -267,13 +267,6 @@ def _everything(results: RunResults, compared: AgainstTruth | None) -> Any:
     if compared is not None:
         points.append(compared.truth_in_map)
     return np.concatenate(points)
-
-
-def _missing(results: RunResults) -> list[str]:
-    """Say what would make the report fuller."""
-    if results.ledger and not (results.folder.path / "map" / "ortho.tif").is_file():
-        return ["fixes: `lunar-fg map RUN` makes the rover's own patches, which are not here yet"]
-    return []
 
 
 def _distinct(runs: Sequence[RunResults]) -> list[str]:

@@ -1,16 +1,18 @@
 import math
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 
-from frontends.absolute import AbsoluteConfig
+from frontends.absolute import AbsoluteConfig, Adjustment
 from frontends.camera import StereoCamera, level_rover_T_camera
 from frontends.errors import InputError
 from frontends.geometry import yaw_pitch_roll
-from frontends.measurements import StartPrior, StereoFrame, Verdict
+from frontends.measurements import AbsoluteFix, StartPrior, StereoFrame, Verdict
 from frontends.orbital import OrbitalMap
 from frontends.rectification import RectificationError
+from lunar_fg.fix_pictures import FixPictures, picture_of
 from lunar_fg.graph.ledger import LedgerEntry, Ruling
 from lunar_fg.graph.planar import Planar
 from lunar_fg.localisation import Localisation, LocalisationConfig, describe
@@ -55,13 +57,14 @@ def world(tmp_path_factory):
     return z, write_map(folder / "ortho.tif", z), write_dem(folder / "dem.tif", z), poses
 
 
-def follow(world, estimate, smoother, orbital=None, **config):
+def follow(world, estimate, smoother, attempts=None, **config):
     z, ortho, _, poses = world
     localisation = Localisation(
-        CAMERA, level_rover_T_camera(), orbital or OrbitalMap.open(ortho),
+        CAMERA, level_rover_T_camera(), OrbitalMap.open(ortho),
         LocalisationConfig(**config), AbsoluteConfig(),
     )  # fmt: skip
     localisation._dense = Ground(z, poses)
+    localisation.on_attempt = [].append if attempts is None else attempts.append
     image = np.zeros((48, 64), dtype=np.uint8)
     for k, pose in estimate.items():
         frame = StereoFrame(k, float(k), image, image, CAMERA)
@@ -74,13 +77,14 @@ def test_fixes_come_with_new_ground_and_hit_the_truth(world):
     poses = world[3]
     estimate = moved(poses, 1.2, -0.9, 0.01, 0)
     smoother = Smoother(estimate)
-    localisation = follow(world, estimate, smoother)
+    attempts = []
+    follow(world, estimate, smoother, attempts)
     found = [fix for fix in smoother.fixes if fix.candidates]
     assert len(found) == 2  # 43 m, a fix every 20 m
     for fix in found:
         true, best = poses[fix.frame], fix.candidates[0]
         assert math.hypot(best.x_m - true[0, 3], best.y_m - true[1, 3]) < 0.15
-    assert "fix by relit relief" in describe(localisation.attempts[0])
+    assert "fix by relit relief" in describe(attempts[0])
     # no keyframe's ground serves two fixes
     assert abs(found[0].frame - found[1].frame) >= 19
 
@@ -115,12 +119,45 @@ def test_an_uncertain_rover_tries_earlier(world):
 def test_a_refused_attempt_is_repeated_with_more_ground(world):
     estimate = world[3]
     smoother = Smoother(estimate, accepts=False)
-    localisation = follow(world, estimate, smoother)
+    attempts = []
+    follow(world, estimate, smoother, attempts)
     frames = [fix.frame for fix in smoother.fixes]
     assert len(frames) >= 3
     assert len(set(frames)) == len(frames)  # the ledger takes each keyframe once
-    areas = [attempt.patch.area_m2 for attempt in localisation.attempts]
+    areas = [attempt.patch.area_m2 for attempt in attempts]
     assert areas[1] > areas[0]
+
+
+def test_an_attempt_is_drawn_with_what_was_compared(world, tmp_path):
+    poses = world[3]
+    estimate = moved(poses, 1.2, -0.9, 0.01, 0)
+    attempts = []
+    follow(world, estimate, Smoother(estimate), attempts)
+    attempt = attempts[0]
+    pictures = FixPictures(tmp_path / "fixes")
+    pictures.draw(attempt)
+    image = cv2.imread(str(pictures.path(attempt.fix.frame)))
+    panels = np.array_split(image, 5, axis=1)
+    assert all(panel.std() > 20.0 for panel in panels)
+    best, patch = attempt.fix.candidates[0], attempt.patch
+    grid = attempt.proposals[0].window.grid
+    drawn = picture_of(attempt)
+    # its middle is marked in the fourth panel, which shows the whole window
+    side = (drawn.shape[1] - 4 * 6) // 5
+    scale = side / max(grid.rows, grid.columns)
+    column, row = grid.pixel(np.array(best.x_m), np.array(best.y_m))
+    at = (
+        round(20 + (float(row) + 0.5) * scale),
+        round(3 * (side + 6) + (float(column) + 0.5) * scale),
+    )
+    around = drawn[at[0] - 3 : at[0] + 4, at[1] - 3 : at[1] + 4].reshape(-1, 3).tolist()
+    assert [90, 170, 40] in around
+    assert math.hypot(best.x_m - patch.x_m, best.y_m - patch.y_m) > 1.0
+
+
+def test_an_attempt_without_ground_is_drawn_empty(world):
+    nothing = Adjustment(AbsoluteFix(3, reason="too small: no ground was seen"), None, ())
+    assert picture_of(nothing)[25:].min() == 250
 
 
 def test_a_map_that_does_not_fit_is_said_and_costs_nothing(world, tmp_path):
