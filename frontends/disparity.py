@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontends.measurements import Image
-from frontends.patch_alignment import PATCH, SPAN, refine_all
+from frontends.patch_alignment import PATCH, refine_all
+from frontends.patch_sampling import SPAN
 
 FloatArray = NDArray[np.float64]
 

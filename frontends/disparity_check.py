@@ -132,13 +132,15 @@ class DisparityCheck:
 
     def add(self, observations: StereoObservations) -> None:
         """Take in the next frame, with tracked ids and uncorrected disparities."""
-        known = set() if not self._frames else set(self._frames[-1].landmark_id.tolist())
-        tracked = len(known.intersection(observations.landmark_id.tolist()))
+        now = set(observations.landmark_id.tolist())
+        known = [] if not self._frames else self._frames[-1].landmark_id.tolist()
+        tracked = len(now.intersection(known))
         self._frames.append(observations)
         for older in list(self._frames)[:-1]:
-            a, b = common_landmarks(older, observations)
-            if len(a) < max(self._LEAST_SHARED, self._SHARED * tracked):
+            shared = len(now.intersection(older.landmark_id.tolist()))
+            if shared < max(self._LEAST_SHARED, self._SHARED * tracked):
                 continue
+            a, b = common_landmarks(older, observations)
             flow = np.hypot(b.u_left - a.u_left, b.v - a.v)
             if float(np.median(flow)) >= self._LEAST_FLOW_PX:
                 self._pairs.append((a, b))

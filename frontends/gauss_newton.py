@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontends.jit import kernel, njit
-from frontends.normal_equations import BLOCK, SCRATCH, sum_block, weigh, whiten
+from frontends.normal_equations import sum_block
+from frontends.whitening import BLOCK, SCRATCH, weigh, whiten
 
 FloatArray = NDArray[np.float64]
 

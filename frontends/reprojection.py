@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from frontends.camera import StereoCamera
 from frontends.gauss_newton import gauss_newton
 from frontends.measurements import StereoObservations
-from frontends.normal_equations import BLOCK, ROWS, distances, normal_equations
+from frontends.normal_equations import normal_equations
+from frontends.whitening import BLOCK, ROWS, distances
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]

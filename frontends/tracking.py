@@ -11,7 +11,7 @@ from annotated_types import Ge, Gt, Le
 from numpy.typing import NDArray
 
 from frontends.camera import StereoCamera
-from frontends.geometry import inverse, transform_points
+from frontends.landmark_memory import LandmarkMemory
 from frontends.matching import Matches, SearchWindows, match_in_windows
 from frontends.measurements import RelativePose, StereoObservations
 from frontends.rectification import observe
@@ -59,61 +59,6 @@ class TrackingConfig:
     ratio: Annotated[float, Gt(0), Le(1)] = 0.85
     scale_change_sigma: Annotated[float, Ge(0)] = 0.08
     surface_slope: Annotated[float, Ge(0)] = 0.2
-
-
-@dataclass(frozen=True, slots=True)
-class LandmarkMemory:
-    """Landmarks that may be seen again, in the left-camera axes of the newest frame.
-
-    Attributes
-    ----------
-    landmark_id, descriptors, laplacian
-        (N,), (N, D), (N,): as in `StereoFeatures`.
-    points, covariance
-        (N, 3) m, (N, 3, 3) m^2.
-    unseen
-        (N,) frames since each was last seen.
-    first_depth_m, last_depth_m
-        (N,) how far each was when it was first and last seen.
-    """
-
-    landmark_id: NDArray[np.int64]
-    descriptors: NDArray[np.float32]
-    laplacian: NDArray[np.int8]
-    points: FloatArray
-    covariance: FloatArray
-    unseen: NDArray[np.int64]
-    first_depth_m: FloatArray
-    last_depth_m: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.landmark_id)
-
-    def select(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> LandmarkMemory:
-        """The landmarks at a mask or an index array."""
-        return LandmarkMemory(
-            self.landmark_id[keep],
-            self.descriptors[keep],
-            self.laplacian[keep],
-            self.points[keep],
-            self.covariance[keep],
-            self.unseen[keep],
-            self.first_depth_m[keep],
-            self.last_depth_m[keep],
-        )
-
-    def joined(self, other: LandmarkMemory) -> LandmarkMemory:
-        """These landmarks and those."""
-        return LandmarkMemory(
-            np.concatenate([self.landmark_id, other.landmark_id]),
-            np.concatenate([self.descriptors, other.descriptors]),
-            np.concatenate([self.laplacian, other.laplacian]),
-            np.concatenate([self.points, other.points]),
-            np.concatenate([self.covariance, other.covariance]),
-            np.concatenate([self.unseen, other.unseen]),
-            np.concatenate([self.first_depth_m, other.first_depth_m]),
-            np.concatenate([self.last_depth_m, other.last_depth_m]),
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -281,13 +226,17 @@ class LandmarkTracker:
             first_depth,
             seen.points_cam[:, 2],
         )
-        older = self._carried(relative.a_T_b, ids)
-        self._memory = current if older is None else current.joined(older)
+        if self._memory is not None:
+            older = self._memory.carried(relative.a_T_b, ids, self.config.max_unseen)
+            current = current.joined(older)
+        self._memory = current
         return observations
 
     def skip(self, relative: RelativePose) -> None:
         """Carry the memory over a frame without images."""
-        self._memory = self._carried(relative.a_T_b, np.zeros(0, dtype=np.int64))
+        if self._memory is not None:
+            nothing = np.zeros(0, dtype=np.int64)
+            self._memory = self._memory.carried(relative.a_T_b, nothing, self.config.max_unseen)
 
     def forget(self) -> None:
         """Drop all landmarks; ids go on."""
@@ -322,23 +271,6 @@ class LandmarkTracker:
             seen,
             sigma_px=np.hypot(seen.sigma_px, walk),
             sigma_disparity_px=np.hypot(seen.sigma_disparity_px, self.config.surface_slope * walk),
-        )
-
-    def _carried(self, a_T_b: FloatArray, seen_again: NDArray[np.int64]) -> LandmarkMemory | None:
-        """The old memory in the new frame's axes, without what was seen again or lost."""
-        memory = self._memory
-        if memory is None:
-            return None
-        keep = (memory.unseen < self.config.max_unseen) & ~np.isin(memory.landmark_id, seen_again)
-        kept = memory.select(keep)
-        b_T_a = inverse(a_T_b)
-        # R C R^T of every landmark as one matrix product
-        twice = np.kron(b_T_a[:3, :3], b_T_a[:3, :3])
-        return replace(
-            kept,
-            points=transform_points(b_T_a, kept.points),
-            covariance=(kept.covariance.reshape(-1, 9) @ twice.T).reshape(-1, 3, 3),
-            unseen=kept.unseen + 1,
         )
 
 

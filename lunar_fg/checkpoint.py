@@ -10,8 +10,8 @@ from zipfile import BadZipFile
 import numpy as np
 
 from frontends.disparity_check import DisparityFinding
+from frontends.landmark_memory import LandmarkMemory
 from frontends.rectification import RectificationError
-from frontends.tracking import LandmarkMemory
 
 _MEMORY = (
     "landmark_id", "descriptors", "laplacian", "points", "covariance", "unseen",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from frontends.patch_alignment import SPAN, _sample
+from frontends.patch_sampling import SPAN, sample
 
 SIDE, HALF, CUBIC = 16, 8.0, -0.6
 
@@ -42,7 +42,7 @@ def test_a_slanting_patch_is_the_cubic_convolution(slope_u, slope_v):
     image = np.random.default_rng(0).integers(0, 256, (80, 120)).astype(np.uint8)
     rows, patch = np.zeros(SIDE * SPAN + SIDE, np.float32), np.empty(SIDE * SIDE, np.float32)
     u, v = 60.3, 40.7
-    inside = _sample(
+    inside = sample(
         image.ravel(), *image.shape, u, v, slope_u, slope_v, np.float32(100), rows, patch
     )
     assert inside
@@ -54,4 +54,4 @@ def test_a_slanting_patch_is_the_cubic_convolution(slope_u, slope_v):
 def test_a_patch_that_leaves_the_image_is_not_sampled(u, v):
     image = np.zeros((80, 120), np.uint8)
     rows, patch = np.zeros(SIDE * SPAN + SIDE, np.float32), np.empty(SIDE * SIDE, np.float32)
-    assert not _sample(image.ravel(), *image.shape, u, v, 0.0, 0.0, np.float32(0), rows, patch)
+    assert not sample(image.ravel(), *image.shape, u, v, 0.0, 0.0, np.float32(0), rows, patch)

@@ -149,8 +149,8 @@ def test_a_damaged_checkpoint_is_named(tmp_path: Path) -> None:
 
 def test_a_checkpoint_comes_back_bit_for_bit() -> None:
     from frontends.disparity_check import DisparityFinding
+    from frontends.landmark_memory import LandmarkMemory
     from frontends.rectification import RectificationError
-    from frontends.tracking import LandmarkMemory
 
     rng = np.random.default_rng(0)
     memory = LandmarkMemory(
