@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from frontends.errors import LunarFgError
+from frontends.geometry import inverse
 from lunar_fg.campaign.source import open_source
 from lunar_fg.campaign.study import Trial
 from lunar_fg.config import Config
@@ -17,6 +18,7 @@ from lunar_fg.evaluation import evaluate
 from lunar_fg.evaluation.association import associate
 from lunar_fg.evaluation.consistency import NeesFrame, coverage
 from lunar_fg.evaluation.fixes import FixCounts, count_fixes
+from lunar_fg.faults import parse_fault
 from lunar_fg.graph.incremental import IncrementalSmoother
 from lunar_fg.log import TraverseLog
 from lunar_fg.run_folder import RunFolder
@@ -43,6 +45,9 @@ class Outcome:
         Mean NEES a degree of freedom; share of the poses within 3 sigma on every map axis.
     fixes_tried, fixes_right, fixes_accepted, fixes_accepted_right
         See `lunar_fg.evaluation.fixes.FixCounts`.
+    drift_after_percent
+        Error of the motion from where the last fault ended to the end of the drive, as a share
+        of its way: what is left of the fault once it is over.
     cpu_s, wall_s
         Of the run, without its simulation.
     warnings
@@ -65,6 +70,7 @@ class Outcome:
     fixes_right: int = 0
     fixes_accepted: int = 0
     fixes_accepted_right: int = 0
+    drift_after_percent: float | None = None
     cpu_s: float = 0.0
     wall_s: float = 0.0
     warnings: tuple[str, ...] = ()
@@ -108,13 +114,33 @@ def _with_images(trial: Trial) -> Outcome:
         spent = time.process_time() - cpu, time.perf_counter() - wall
         trajectory, truth = folder.read_trajectory(), truth_of(dataset.ground_truth)
         fixes = FixCounts() if truth is None else _fixes(folder, truth)
+        after = None if truth is None else _drift_after(trial, len(dataset), trajectory, truth)
     if truth is None:
         return Outcome(
             trial.number, trial.seed, trial.group, "", metrics.frames, metrics.frames_lost,
             cpu_s=spent[0], wall_s=spent[1], warnings=metrics.warnings,
         )  # fmt: skip
     outcome = _judged(trial, trajectory, truth, metrics.frames_lost, spent, metrics.warnings)
-    return replace(outcome, **{f"fixes_{name}": count for name, count in asdict(fixes).items()})
+    counts = {f"fixes_{name}": count for name, count in asdict(fixes).items()}
+    return replace(outcome, drift_after_percent=after, **counts)
+
+
+def _drift_after(trial: Trial, frames: int, trajectory: Trajectory, truth: Truth) -> float | None:
+    """See `Outcome`; None where no fault ends during the drive."""
+    ends = [parse_fault(text).span.last + 1 for text in trial.base.faults]
+    # the truth has a pose a frame in simulated traverses: a frame's number is its row
+    known = isinstance(truth, Trajectory) and len(truth) == frames
+    if not known or not ends or max(ends) > frames - 2:
+        return None
+    pair = associate(trajectory, truth)
+    rows = np.flatnonzero(pair.truth.stamp_s >= truth.stamp_s[max(ends)])
+    if len(rows) < 2:
+        return None
+    a, b = rows[0], rows[-1]
+    made, true = (inverse(p[a]) @ p[b] for p in (pair.estimate.map_T_rover, pair.true_poses))
+    way = float(pair.travelled_m()[b] - pair.travelled_m()[a])
+    error = float(np.linalg.norm(made[:3, 3] - true[:3, 3]))
+    return 100.0 * error / way if way > 0.0 else None
 
 
 def _fixes(folder: RunFolder, truth: Truth) -> FixCounts:

@@ -22,6 +22,7 @@ from lunar_fg.graph.keyframe import Keyframe, SmoothedTrajectory
 from lunar_fg.graph.landmarks import WholeGraph, map_point
 from lunar_fg.graph.ledger import LedgerEntry
 from lunar_fg.graph.review import JointCovariance, Review
+from lunar_fg.graph.scale import Anchors
 
 _ITERATIONS_FACTOR = 10
 _MOST_CULPRITS = 50
@@ -126,6 +127,8 @@ def optimize_batch(
         len(review.accepted),
         len(ledger) - len(review.accepted),
     )
+    anchors = Anchors.of(index[0], start.map_T_rover, review.ledger)
+    covariances = anchors.considered(initial.index, poses, covariances, config.scale_sigma)
     trajectory = SmoothedTrajectory(initial.index, initial.stamp_s, poses, covariances)
     return BatchResult(trajectory, report, review.ledger)
 

@@ -27,6 +27,9 @@ class GraphConfig(BaseModel):
         out. N landmarks count for N / (1 + correlation N).
     disparity_sigma_px
         Error of all disparities of a segment alike that calibration and matching leave.
+    scale_sigma
+        Share by which the calibration's scale (baseline, focal length) may be wrong for good:
+        considered in every covariance, not estimated. See `lunar_fg.graph.scale`.
     min_tracks
         With fewer landmark tracks from earlier keyframes than this, the measured relative
         pose carries a keyframe instead of its landmarks.
@@ -50,6 +53,7 @@ class GraphConfig(BaseModel):
     robust_threshold_sigma: float = Field(default=2.0, ge=0.5, le=100.0)
     landmark_correlation: float = Field(default=0.005, ge=0.0, le=1.0)
     disparity_sigma_px: float = Field(default=0.05, ge=0.0, le=10.0)
+    scale_sigma: float = Field(default=0.005, ge=0.0, le=1.0)
     min_tracks: int = Field(default=8, ge=3)
     max_track_gap: int = Field(default=10, ge=1)
     max_landmarks: int = Field(default=1000, ge=20)

@@ -45,7 +45,7 @@ class FullGraph:
         # where the 4096 rule stops it.
         self._isam = GuardedIsam(qr=False, unsound=self._whole.unsound)
         self._count = 0
-        self._chain = PlanarChain()
+        self._chain = PlanarChain(config.scale_sigma)
         self._motions: list[tuple[FloatArray, FloatArray]] = []
         self._landmarks_aside = 0
         self._frames_aside: list[int] = []

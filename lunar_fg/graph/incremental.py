@@ -31,6 +31,7 @@ from lunar_fg.graph.landmarks import in_rover_frames
 from lunar_fg.graph.ledger import FixDecision, Height, LedgerEntry, LoopClosure
 from lunar_fg.graph.planar import Planar, planar_of
 from lunar_fg.graph.posegraph import SegmentGraph, compose
+from lunar_fg.graph.scale import Anchors
 from lunar_fg.graph.vote import NONE
 
 NO_VERTICAL_WARNING = (
@@ -121,6 +122,8 @@ class IncrementalSmoother:
         self._index: list[int] = []
         self._stamp_s: list[float] = []
         self._vertical = False
+        self._start, self._scale_sigma = start, config.scale_sigma
+        self._anchors: Anchors | None = None
         self._rover_T_camera = np.array(rover_T_camera, float)
         self._before: tuple[FloatArray, FloatArray] | None = None
         self._failures: list[str] = []
@@ -158,7 +161,7 @@ class IncrementalSmoother:
         self._index.append(keyframe.index)
         self._stamp_s.append(keyframe.stamp_s)
         self._vertical = self._vertical or keyframe.tilt is not None
-        pose, covariance = self._latest(keyframe)
+        pose, covariance = self._considered(keyframe.index, *self._latest(keyframe))
         refused = (f"{entered.cut} landmark tracks: cut",) if entered.cut else ()
         relative = keyframe.relative
         if relative is not None and not relative.accepted:
@@ -211,7 +214,8 @@ class IncrementalSmoother:
         EstimationError
             Its covariance cannot be computed.
         """
-        return PredictedPose(frame, *self._graph.at(self._ordinal(frame)))
+        pose, covariance = self._graph.at(self._ordinal(frame))
+        return PredictedPose(frame, *self._considered(frame, pose, covariance))
 
     def pose(self, frame: int) -> FloatArray:
         """Pose (4, 4) of any keyframe so far, as smoothed by now.
@@ -371,8 +375,21 @@ class IncrementalSmoother:
             )  # fmt: skip
         return ordinal
 
+    def _considered(
+        self, frame: int, pose: FloatArray, covariance: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Pose and covariance of a keyframe, the error of the scale considered."""
+        rows = np.array([frame]), pose[None], covariance[None]
+        return pose, self._fixed_at().considered(*rows, self._scale_sigma)[0]
+
+    def _fixed_at(self) -> Anchors:
+        if self._anchors is None:
+            self._anchors = Anchors.of(self._index[0], self._start.map_T_rover, self.ledger)
+        return self._anchors
+
     def _refresh(self) -> None:
         """Carry the next estimate on from where the fix has put the rover."""
+        self._anchors = None
         try:
             self._before = self._graph.latest()
         except EstimationError as error:
@@ -389,9 +406,9 @@ class IncrementalSmoother:
         if not self._index:
             raise EstimationError("the graph is empty: add a keyframe first")
         poses, covariances = self._graph.trajectory()
-        return SmoothedTrajectory(
-            np.array(self._index, dtype=np.int64), np.array(self._stamp_s), poses, covariances
-        )
+        index = np.array(self._index, dtype=np.int64)
+        covariances = self._fixed_at().considered(index, poses, covariances, self._scale_sigma)
+        return SmoothedTrajectory(index, np.array(self._stamp_s), poses, covariances)
 
     def finish(self) -> tuple[LedgerEntry, ...]:
         """Judge all fixes and loop closures together, then relinearise until nothing moves.

@@ -96,9 +96,16 @@ class _Link:
 
 
 class PlanarChain:
-    """The path by the rover's own measurements alone, no fix in it, as planar motions."""
+    """The path by the rover's own measurements alone, no fix in it, as planar motions.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    scale_sigma
+        Share by which all of it may be too long; see `lunar_fg.graph.scale`.
+    """
+
+    def __init__(self, scale_sigma: float = 0.0) -> None:
+        self._scale_sigma = scale_sigma
         self._links: list[_Link] = []
         self._begins: list[int] = []
 
@@ -149,7 +156,10 @@ class PlanarChain:
                 total, _within(link, max(first - link.begin, 0), min(second - link.begin, last))
             )
             at += 1
-        return Planar(total.xyyaw, total.covariance + np.diag(np.square(_LEAST_SIGMA)))
+        covariance = total.covariance + np.diag(np.square(_LEAST_SIGMA))
+        by_scale = self._scale_sigma * total.xyyaw[:2]
+        covariance[:2, :2] += np.outer(by_scale, by_scale)
+        return Planar(total.xyyaw, covariance)
 
 
 def _within(link: _Link, a: int, b: int) -> Planar:

@@ -69,7 +69,7 @@ class SegmentGraph:
         self._solutions: list[SegmentSolution] = []
         # Ordinal of the keyframe that each segment begins with, the open one too.
         self._begins = [0]
-        self._chain = PlanarChain()
+        self._chain = PlanarChain(config.scale_sigma)
         self._failures: list[str] = []
         self._close_at = config.segment_keyframes
 

@@ -23,7 +23,7 @@ from lunar_fg.graph.keyframe import Keyframe
 
 #: Settings that are right for simulated landmarks: they err independently of each other, real
 #: ones do not.
-INDEPENDENT = GraphConfig(landmark_correlation=0.0, disparity_sigma_px=0.0)
+INDEPENDENT = GraphConfig(landmark_correlation=0.0, disparity_sigma_px=0.0, scale_sigma=0.0)
 
 
 @dataclass(frozen=True, slots=True)

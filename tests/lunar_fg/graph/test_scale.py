@@ -1,0 +1,69 @@
+"""A calibration that is wrong in scale: nothing shows it, the covariance holds it."""
+
+import numpy as np
+
+from frontends.measurements import AbsoluteFix, FixCandidate
+from lunar_fg.graph import IncrementalSmoother, optimize_batch
+from lunar_fg.graph.planar import planar
+from lunar_fg.graph.scale import Anchors
+from lunar_fg.simulation.measurements import INDEPENDENT, TraverseSpec, simulate
+
+SHARE = 0.02
+CONSIDERED = INDEPENDENT.model_copy(update={"scale_sigma": SHARE})
+
+
+def drive(config, fixed=()):
+    """A drive of 60 m of which everything that was measured is 2 % too long; truth, estimate."""
+    spec = TraverseSpec(keyframes=120, landmarks=40, odometry=False, tilt=True)
+    made = simulate(spec, 3)
+    baseline_m = made.camera.baseline_m * (1.0 + SHARE)
+    camera = type(made.camera)(
+        made.camera.width, made.camera.height, made.camera.fx, made.camera.fy,
+        made.camera.cx, made.camera.cy, baseline_m,
+    )  # fmt: skip
+    smoother = IncrementalSmoother(camera, made.rover_T_camera, made.start, config)
+    latest = None
+    for keyframe in made.keyframes:
+        latest = smoother.add(keyframe)
+        if keyframe.index in fixed:
+            xyyaw = planar(made.map_T_rover[keyframe.index])
+            place = FixCandidate(*xyyaw, np.diag([0.1, 0.1, 0.01]) ** 2)
+            assert smoother.add_fix(AbsoluteFix(keyframe.index, (place,), 0.3)).accepted
+    smoother.finish()
+    return made, camera, smoother, latest
+
+
+def sigmas_off(made, trajectory):
+    """Distance from the truth in sigmas along the way, of each keyframe."""
+    off = trajectory.map_T_rover[:, :3, 3] - made.map_T_rover[:, :3, 3]
+    turned = np.einsum("nji,nj->ni", trajectory.map_T_rover[:, :3, :3], off)
+    return np.sqrt(np.einsum("ni,nij,nj->n", turned, np.linalg.inv(
+        trajectory.covariance[:, 3:, 3:]), turned))  # fmt: skip
+
+
+def test_the_covariance_holds_what_the_images_cannot_show():
+    made, camera, smoother, latest = drive(CONSIDERED)
+    trajectory = smoother.trajectory()
+    final = np.linalg.norm(trajectory.map_T_rover[-1, :3, 3] - made.map_T_rover[-1, :3, 3])
+    assert final > 0.8
+    assert np.mean(sigmas_off(made, trajectory) < 3.0) > 0.95
+    # without it nothing of this is in the covariance
+    assert np.mean(sigmas_off(made, drive(INDEPENDENT)[2].trajectory()) < 3.0) < 0.6
+    assert np.sqrt(latest.covariance[3:, 3:].trace()) > 0.9 * SHARE * 55.0
+    np.testing.assert_allclose(
+        smoother.predicted(119).covariance, trajectory.covariance[-1], rtol=1e-6, atol=1e-12
+    )
+    batch = optimize_batch(camera, made.rover_T_camera, made.start, made.keyframes, CONSIDERED)
+    assert np.mean(sigmas_off(made, batch.trajectory) < 3.0) > 0.95
+
+
+def test_from_a_fix_on_it_grows_anew():
+    made, _, smoother, _ = drive(CONSIDERED, fixed=(40, 80, 110))
+    sigma = np.sqrt(smoother.trajectory().covariance[:, 3:, 3:].trace(axis1=1, axis2=2))
+    assert sigma[110] < 0.4 * SHARE * 55.0
+    assert sigma[60] > sigma[40]
+    assert sigma[60] > sigma[80]
+    # a loop that comes back to where it was fixed has no error of scale
+    way = Anchors.of(0, made.map_T_rover[0], smoother.ledger)
+    rows = np.array([200]), made.map_T_rover[110:111], np.zeros((1, 6, 6))
+    assert np.abs(way.considered(*rows, SHARE)).max() < 1e-6
