@@ -24,6 +24,11 @@ from frontends.patch_sampling import SPAN
 
 FloatArray = NDArray[np.float64]
 
+#: Confirmed features that tell how much patches of the same ground differ in these images.
+_ENOUGH_CONFIRMED = 30
+#: Contradicted: patches that differ more than this share of the confirmed ones.
+_USUAL_SHARE = 0.99
+
 
 @dataclass(frozen=True, slots=True)
 class RefinedDisparities:
@@ -40,12 +45,16 @@ class RefinedDisparities:
         (N,) ``v_left - v_right`` that remains beyond the expected one.
     confirmed
         (N,) bool.
+    contradicted
+        (N,) bool: the patches differ by far more than those of confirmed features do. Most
+        such features are wrong matches; others that are not confirmed lack texture.
     """
 
     disparity_px: FloatArray
     sigma_px: FloatArray
     vertical_px: FloatArray
     confirmed: NDArray[np.bool_]
+    contradicted: NDArray[np.bool_]
 
     def select(self, keep: NDArray[np.bool_]) -> RefinedDisparities:
         """The features at a mask."""
@@ -54,6 +63,7 @@ class RefinedDisparities:
             self.sigma_px[keep],
             self.vertical_px[keep],
             self.confirmed[keep],
+            self.contradicted[keep],
         )
 
 
@@ -92,7 +102,7 @@ def refine_disparities(
     # the kernel's arithmetic knows no NaN: such features are put outside of the image
     unknown = ~np.isfinite(start).all(axis=1) | (np.abs(start) > 1e6).any(axis=1)
     start[unknown] = -1e3
-    result = np.zeros((n, 3))
+    result = np.zeros((n, 4))
     confirmed = np.zeros(n, dtype=np.bool_)
     if min(left.shape) >= SPAN:
         images = np.ascontiguousarray(left), np.ascontiguousarray(right)
@@ -102,4 +112,13 @@ def refine_disparities(
         np.where(confirmed, result[:, 1], np.inf),
         result[:, 2],
         confirmed,
+        _contradicted(result[:, 3], confirmed),
     )
+
+
+def _contradicted(residual: FloatArray, confirmed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Patches not confirmed that differ more than most of the confirmed ones."""
+    if confirmed.sum() < _ENOUGH_CONFIRMED:
+        return np.zeros(len(residual), dtype=np.bool_)
+    usual = np.quantile(residual[confirmed], _USUAL_SHARE)
+    return ~confirmed & (residual > usual)

@@ -180,7 +180,11 @@ def refine_all(
     left: Image, right: Image, start: FloatArray, grid: Floats, result: FloatArray,
     confirmed: NDArray[np.bool_],
 ) -> None:  # fmt: skip
-    """Fill result (disparity, sigma, vertical) from start (u, v, disparity, vertical, shift)."""
+    """Fill result from start (u, v, disparity, vertical, shift).
+
+    The columns of `result` are disparity, sigma, vertical, and the variance that the model leaves
+    of a pixel of the right image, in grey levels squared (unchanged where it was not fitted).
+    """
     J, WJ = np.ones(_UNKNOWNS * AREA, np.float32), np.empty(_UNKNOWNS * AREA, np.float32)
     R, rows = np.empty(AREA, np.float32), np.zeros(SIDE * SPAN + SIDE, np.float32)
     L = np.zeros((_UNKNOWNS, _UNKNOWNS))
@@ -220,6 +224,7 @@ def refine_all(
             variance = power - moment[5] * moment[5] / _WEIGHT
             if tried >= _PATIENCE and unexplained > _HOPELESS * variance:
                 inside = False
+                result[n, 3] = unexplained / _FREEDOM
                 break
             gain = min(max(x[4], _LEAST_GAIN), _LARGEST_GAIN)
             stretch = (1.0 - slope_u / HALF) / gain  # a shift seen in the left image, in D
@@ -234,6 +239,7 @@ def refine_all(
         if not inside:
             continue
         noise = max(unexplained, 0.0) / (_FREEDOM * gain * gain)
+        result[n, 3] = noise * gain * gain
         # the feature is beside the patch's centre: d + slopes times its offset
         x[:] = 0.0
         x[0] = 1.0

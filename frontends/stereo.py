@@ -138,6 +138,9 @@ class StereoPerception:
     def perceive(self, frame: StereoFrame) -> StereoFeatures:
         """Stereo landmarks of one rectified pair.
 
+        Pairs that the refinement does not confirm are kept at the keypoints' precision, but
+        those that the images contradict are dropped: most of them are wrong matches.
+
         Raises
         ------
         InputError
@@ -170,7 +173,7 @@ class StereoPerception:
         u, v = left_uv[:, 0], left_uv[:, 1]
         disparity = disparity - self.rectification.disparity_at(self.camera, u, v)
         keep = within_range(disparity, sigma_disparity, self.config.max_depth_sigma)
-        keep &= self.camera.contains(u, v, self.config.border_px)
+        keep &= self.camera.contains(u, v, self.config.border_px) & ~found.contradicted
         chosen = pairs.query[keep]
         observations = observe(
             self.camera,

@@ -70,6 +70,29 @@ def test_disparities_are_right_and_within_their_sigmas(scene, pose, gain, bias, 
     assert np.mean(np.abs(normalised) > 4.0) < 0.02
 
 
+def test_wrong_matches_are_contradicted_and_bare_ground_is_not():
+    """A wrong match differs from its partner by structure; ground without texture by noise."""
+    rng = np.random.default_rng(8)
+    texture = cv2.GaussianBlur(rng.standard_normal((240, 320)), (0, 0), 1.5)
+    image = 120.0 + 40.0 * texture / texture.std()
+    image[150:] = 120.0
+    noisy = [np.clip(image + rng.normal(0, 2, image.shape), 0, 255) for _ in range(2)]
+    left, right = (np.rint(one).astype(np.uint8) for one in noisy)
+    u, v = (grid.ravel().astype(float) for grid in np.meshgrid(range(80, 300, 12), range(20, 230)))
+    disparity = np.where(rng.random(len(u)) < 0.5, 0.0, 40.0)
+    disparity[v > 130] = 0.0
+    found = refine_disparities(
+        left, right, np.stack([u, v], axis=-1), disparity, np.zeros(len(u)), np.ones(len(u))
+    )
+    wrong, bare, right_ones = disparity > 0, v > 165, (disparity == 0) & (v < 130)
+    assert found.confirmed[right_ones].mean() > 0.99
+    assert found.contradicted[wrong].mean() > 0.95
+    assert not found.confirmed[wrong].any()
+    assert not found.contradicted[bare].any()
+    assert found.confirmed[bare].mean() < 0.05
+    assert not (found.contradicted & found.confirmed).any()
+
+
 def test_no_bias_towards_whole_pixels():
     rng = np.random.default_rng(3)
     bias = []
