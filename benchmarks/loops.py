@@ -19,6 +19,7 @@ import json
 import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -154,7 +155,7 @@ def real_return(folder: Path) -> dict[str, Any]:
 
 def recognition(name: str, found: list[Pair]) -> str:
     cells = []
-    for near, far in zip(DISTANCES_M[:-1], DISTANCES_M[1:], strict=True):
+    for near, far in pairwise(DISTANCES_M):
         part = [p for p in found if p.same_place and near <= p.distance_m < far]
         cells.append(f"{100 * np.mean([p.tied for p in part]):.0f} % of {len(part)}")
     tied = [p for p in found if p.same_place and p.tied]
@@ -198,7 +199,7 @@ def main() -> None:
     }
     text = json.dumps(content).replace("NaN", "null").replace("}, {", "},\n {")
     (arguments.out / "loops.json").write_text(text + "\n", encoding="utf-8")
-    bands = [f"{a} to {b} m apart" for a, b in zip(DISTANCES_M[:-1], DISTANCES_M[1:], strict=True)]
+    bands = [f"{a} to {b} m apart" for a, b in pairwise(DISTANCES_M)]
     lines = [
         "# Closed loops: benchmark",
         "",

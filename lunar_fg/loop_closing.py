@@ -47,9 +47,11 @@ _SPACING = 1.0 / 3.0
 #: A place is old when the rover has driven so many reaches since.
 _OLD = 3.0
 _SIGMAS = 3.0
+#: 1-sigma of a motion that was measured throughout, as a share of its way: far above any drift.
+_MOST_DRIFT = 0.2
 #: How many places are tried at a keyframe, and how many are looked at for that.
 _MOST_TRIED = 3
-_MOST_LOOKED_AT = 100
+_MOST_LOOKED_AT = 40
 #: The graph must know the motion so many times worse than two views tell it.
 _TELLING = 4.0
 
@@ -92,6 +94,8 @@ class _Column(IntEnum):
     """How far from here the place can be told again."""
     DRIVEN = 6
     """Length of the drive up to here."""
+    LOST = 7
+    """Frames up to here whose motion was only predicted."""
 
 
 class LoopClosing:
@@ -129,6 +133,7 @@ class LoopClosing:
         self._table: FloatArray = np.empty((0, len(_Column)))
         self._used: set[int] = set()
         self._driven_m = 0.0
+        self._lost = 0
         self._last: FloatArray | None = None
         self._thinned = 1
 
@@ -238,7 +243,7 @@ class LoopClosing:
         """
         self._places, self._bytes, self._thinned = [], 0, 1
         self._table, self._used = self._table[:0], set()
-        self._driven_m, self._last = 0.0, None
+        self._driven_m, self._lost, self._last = 0.0, 0, None
         by_frame = {place.frame: place for place in places}
         for estimate in estimates:
             self._drive(estimate)
@@ -261,6 +266,7 @@ class LoopClosing:
         if self._last is not None:
             self._driven_m += float(np.linalg.norm(position - self._last))
         self._last = position
+        self._lost += estimate.lost
 
     def _reach_m(self, depths: FloatArray) -> float:
         return float(np.median(depths)) * math.tan(self._view_change)
@@ -278,7 +284,7 @@ class LoopClosing:
         here = planar_of(estimate.map_T_rover, estimate.covariance)
         position = float(np.linalg.eigvalsh(here.covariance[:2, :2])[-1])
         sigma = np.sqrt(np.maximum([position, here.covariance[2, 2]], 0.0))
-        row = np.concatenate([here.xyyaw, sigma, [reach_m, self._driven_m]])
+        row = np.concatenate([here.xyyaw, sigma, [reach_m, self._driven_m, self._lost]])
         self._places.append(place)
         self._table = np.vstack([self._table, row])
         self._bytes += place.nbytes
@@ -291,12 +297,16 @@ class LoopClosing:
         """Old places that the rover may see now, the most alike view first, with their reach."""
         here, table = planar_of(estimate.map_T_rover, estimate.covariance), self._table
         reach = table[:, _Column.REACH]
+        way = self._driven_m - table[:, _Column.DRIVEN]
         position = math.sqrt(float(np.linalg.eigvalsh(here.covariance[:2, :2])[-1]))
+        # of both positions; of a measured motion alone it is less
         sigma = table[:, _Column.SIGMA] + position
+        measured = table[:, _Column.LOST] == self._lost
+        sigma[measured] = np.minimum(sigma, _MOST_DRIFT * way)[measured]
         yaw_sigma = table[:, _Column.YAW_SIGMA] + math.sqrt(float(here.covariance[2, 2]))
         distance = np.linalg.norm(table[:, :2] - here.xyyaw[:2], axis=1)
         turned = np.abs(np.angle(np.exp(1j * (table[:, _Column.YAW] - here.xyyaw[2]))))
-        possible = self._driven_m - table[:, _Column.DRIVEN] >= _OLD * reach
+        possible = way >= _OLD * reach
         possible &= distance <= reach + _SIGMAS * sigma
         possible &= turned <= self._view_change + _SIGMAS * yaw_sigma
         rows = np.flatnonzero(possible)

@@ -11,6 +11,7 @@ from frontends.disparity_check import DisparityCheckConfig
 from frontends.geometry import inverse, pose, se3_log, so3_exp
 from frontends.measurements import StartPrior, UnusableFrame, Verdict, WheelOdometry
 from lunar_fg.config import Config
+from lunar_fg.graph.incremental import IncrementalSmoother
 from lunar_fg.graph.ledger import LoopClosure
 from lunar_fg.log import TraverseLog
 from lunar_fg.log_entries import RunHeader
@@ -128,6 +129,17 @@ def test_nothing_is_closed_that_is_known(frames):
     plain = [replace(frame, odometry=None) for frame in seen]
     navigator, _ = navigate([*plain, *back])
     assert navigator.ledger == ()
+
+
+def test_a_drive_that_returns_nowhere_asks_the_graph_for_nothing(monkeypatch):
+    asked = []
+    monkeypatch.setattr(IncrementalSmoother, "between", lambda *_: asked.append(1))
+    way = [pose(np.eye(3), [0.3 * k, 0.0, 0.0]) for k in range(24)]
+    frames = [Scene().frame(map_T_rover @ MOUNT, k) for k, map_T_rover in enumerate(way)]
+    navigator, _ = navigate(frames)
+    table = navigator.loops._table
+    assert np.ptp(table[:, 6]) > 3.0 * table[0, 5] + 1.0, "long enough to look back"
+    assert not asked
 
 
 def test_the_kept_places_are_bounded(frames):
