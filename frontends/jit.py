@@ -31,9 +31,11 @@ _OPTIONS: dict[str, Any] = {"nogil": True, "fastmath": _FASTMATH, "error_model":
 def njit(function: F) -> F:
     """Compile a function that kernels call; it is cached as part of them only.
 
-    Were it cached by itself, numba would go on using it after a change in what it calls.
+    Were it cached by itself, numba would go on using it after a change in what it calls. It is
+    always inlined: where LLVM left a call, a process that has just compiled would run the
+    function's own code, and one with a cache the copy in the kernel, which rounds differently.
     """
-    return cast(F, numba.njit(function, **_OPTIONS))
+    return cast(F, numba.njit(function, forceinline=True, **_OPTIONS))
 
 
 def kernel(function: F) -> F:
@@ -52,7 +54,7 @@ def kernel(function: F) -> F:
     try:
         return cast(F, numba.njit(function, cache=True, **_OPTIONS))
     except RuntimeError:  # nowhere to write a cache: still correct, compiles in every process
-        return njit(function)
+        return cast(F, numba.njit(function, **_OPTIONS))
 
 
 def _drop_stale(function: Callable[..., Any], folder: str) -> None:
