@@ -130,7 +130,7 @@ class PathSpec(_Strict):
     step_m: Positive = 1.5
     speed_m_s: Positive = 0.1
     waypoint_offset_m: NotNegative = 8.0
-    circuit_m: Annotated[float, Field(ge=10.0, le=2_000.0)] | None = None
+    circuit_m: Annotated[float, Field(ge=30.0, le=2_000.0)] | None = None
     wheel_base_m: Positive = 1.2
     track_m: Positive = 1.0
 
