@@ -35,6 +35,7 @@ from lunar_fg.graph.planar import (
     updated,
     wrapped,
 )
+from lunar_fg.graph.scale import stretched
 from lunar_fg.graph.vote import NONE, Ballot, Choice, Group, Vote
 
 #: Roll, pitch and height of a tangent vector; the vote is on the others.
@@ -283,6 +284,23 @@ class FixJudge:
             tuple(self._motions[pair] for pair in pairs),
             tuple(self._group(case, number) for case in self._window),
         )
+
+    def by_scale(self, scale_sigma: float) -> dict[int, FloatArray]:
+        """How an error of the scale moves the window's stations, by ordinal; see `scale`."""
+        if not any(case.chosen is not None for case in self._window):
+            return {}
+        ballot = self._ballot()
+        claims = [
+            group.claims[case.chosen]
+            for group, case in zip(ballot.groups, self._window, strict=True)
+            if case.chosen is not None
+        ]
+        ordinals = sorted({station for pair in self._motions for station in pair})
+        try:
+            moved = stretched(ballot.start, ballot.motions, claims, scale_sigma)
+        except EstimationError:  # a covariance then lacks the scale's share, nothing else
+            return {}
+        return dict(zip(ordinals, moved, strict=True))
 
     def _group(self, case: _Case, number: Mapping[int, int]) -> Group:
         station = number[case.ordinal]

@@ -384,7 +384,13 @@ class IncrementalSmoother:
 
     def _fixed_at(self) -> Anchors:
         if self._anchors is None:
-            self._anchors = Anchors.of(self._index[0], self._start.map_T_rover, self.ledger)
+            moved = self._judge.by_scale(self._scale_sigma)
+            self._anchors = Anchors.of(
+                self._index[0],
+                self._start.map_T_rover,
+                self.ledger,
+                {self._index[ordinal]: shift for ordinal, shift in moved.items()},
+            )
         return self._anchors
 
     def _refresh(self) -> None:

@@ -4,8 +4,9 @@ import numpy as np
 
 from frontends.measurements import AbsoluteFix, FixCandidate
 from lunar_fg.graph import IncrementalSmoother, optimize_batch
-from lunar_fg.graph.planar import planar
-from lunar_fg.graph.scale import Anchors
+from lunar_fg.graph.network import Claim
+from lunar_fg.graph.planar import Planar, planar
+from lunar_fg.graph.scale import Anchors, stretched
 from lunar_fg.simulation.measurements import INDEPENDENT, TraverseSpec, simulate
 
 SHARE = 0.02
@@ -57,13 +58,31 @@ def test_the_covariance_holds_what_the_images_cannot_show():
     assert np.mean(sigmas_off(made, batch.trajectory) < 3.0) > 0.95
 
 
-def test_from_a_fix_on_it_grows_anew():
-    made, _, smoother, _ = drive(CONSIDERED, fixed=(40, 80, 110))
-    sigma = np.sqrt(smoother.trajectory().covariance[:, 3:, 3:].trace(axis1=1, axis2=2))
-    assert sigma[110] < 0.4 * SHARE * 55.0
-    assert sigma[60] > sigma[40]
-    assert sigma[60] > sigma[80]
-    # a loop that comes back to where it was fixed has no error of scale
-    way = Anchors.of(0, made.map_T_rover[0], smoother.ledger)
-    rows = np.array([200]), made.map_T_rover[110:111], np.zeros((1, 6, 6))
-    assert np.abs(way.considered(*rows, SHARE)).max() < 1e-6
+def test_fixes_take_it_up_as_far_as_they_are_believed():
+    made, _, smoother, _ = drive(CONSIDERED, fixed=(20, 50, 80, 110))
+    trajectory = smoother.trajectory()
+    assert np.mean(sigmas_off(made, trajectory) < 3.0) > 0.95
+    # without a fix it would be all the way from the start
+    sigma = np.sqrt(trajectory.covariance[:, 3:, 3:].trace(axis1=1, axis2=2))
+    assert sigma[110] < 0.7 * SHARE * 55.0
+
+
+def test_fixes_that_are_exact_leave_nothing_of_it_where_they_are():
+    start = Planar(np.zeros(3), 1e-8 * np.eye(3))
+    way = Planar(np.array([20.0, 0.0, 0.0]), 0.04 * np.eye(3))
+    exact = Claim(1, Planar(np.array([20.0, 0.0, 0.0]), 1e-8 * np.eye(3)))
+    np.testing.assert_allclose(
+        stretched(start, (way, way), (exact,), 0.0), [[0, 0], [0, 0], [20, 0]], atol=1e-3
+    )
+    loose = Claim(1, Planar(np.array([20.0, 0.0, 0.0]), 1e4 * np.eye(3)))
+    np.testing.assert_allclose(stretched(start, (way,), (loose,), 0.0)[1], [20, 0], atol=1e-2)
+
+
+def test_between_two_fixes_it_is_spread_out():
+    anchors = Anchors(
+        np.array([0, 10]), np.array([[0.0, 0, 0], [20.0, 0, np.nan]]), np.array([[0, 0], [4.0, 0]])
+    )
+    poses = np.tile(np.eye(4), (4, 1, 1))
+    poses[:, 0, 3] = 0.0, 10.0, 20.0, 30.0
+    found = anchors.considered(np.array([0, 5, 10, 15]), poses, np.zeros((4, 6, 6)), 1.0)
+    np.testing.assert_allclose(np.sqrt(found[:, 3, 3]), [0.0, 2.0, 4.0, 14.0])
