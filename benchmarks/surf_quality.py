@@ -35,7 +35,7 @@ from surf_features import (
     read_grey,
     reference,
 )  # fmt: skip
-from surf_ransac import wrong_matches
+from surf_ransac import of_rendered, wrong_matches
 from surf_tables import PLANETARY, markdown
 from surf_warps import WARPS, about_centre, degraded, resampled
 
@@ -235,10 +235,15 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--json", type=Path, help="the figures; a page of tables goes beside it")
     parser.add_argument("--only", help="comma-separated rows, e.g. 'SURF,OpenCV SURF'")
+    parser.add_argument("--rendered", type=Path, help="from lunar-fg simulate --depth")
     parser.add_argument("--page-only", action="store_true", help="the page anew from the JSON")
     arguments = parser.parse_args()
     if arguments.page_only:
-        write_page(arguments.json, json.loads(arguments.json.read_text()))
+        report = json.loads(arguments.json.read_text())
+        if arguments.rendered:
+            report["after RANSAC"]["rendered pairs"] = of_rendered(arguments.rendered)
+            arguments.json.write_text(json.dumps(report, indent=1) + "\n")
+        write_page(arguments.json, report)
         return
     chosen = extractors()
     if arguments.only:
@@ -249,6 +254,8 @@ def main() -> None:
     table_of_stereo(report, chosen, arguments.data)
     table_of_warps(report, chosen, arguments.data)
     after: dict[str, object] = dict(wrong_matches(arguments.data))
+    if arguments.rendered:
+        after["rendered pairs"] = of_rendered(arguments.rendered)
     print("\nafter RANSAC")
     for name, counts in after.items():
         print(f"{name:16s} {counts}")

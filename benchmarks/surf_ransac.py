@@ -2,6 +2,8 @@
 
 * homographies: the 20 warps of five real images; an inlier farther than 3 px from its true
   place is wrong (RANSAC works at 2 px);
+* rendered pairs (`lunar-fg simulate --depth`): what stereo perception makes of them, without
+  RANSAC, against the exact depth; wrong by more than 3 px from all depths within 2 px;
 * rectified pairs: RANSAC is not told that rows are equal; an inlier farther than 3 px from
   its row (a smooth vertical field removed) is wrong, and so is one nearer than infinity.
 """
@@ -13,12 +15,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter, minimum_filter
 from surf_features import read_grey
 from surf_warps import WARPS, about_centre, degraded, resampled
 
 from frontends.matching import find_fundamental, find_homography, match_descriptors
 from frontends.rectification import robust_fit
+from frontends.stereo import StereoPerception
 from frontends.surf import SURF, Keypoints
+from lunar_fg.datasets import open_dataset
 
 KEYPOINTS = 3000
 WRONG_PX = 3.0
@@ -88,4 +93,34 @@ def _of_stereo(data: Path, surf: SURF) -> dict[str, int]:
         count["inliers"] += len(a)
         count["off row"] += int((np.abs(offset - basis @ coefficients) > WRONG_PX).sum())
         count["beyond infinity"] += int((a[:, 0] - b[:, 0] < -WRONG_PX).sum())
+    return count
+
+
+def of_rendered(folder: Path) -> dict[str, int]:
+    """Landmarks of stereo perception, those with a refined disparity, and wrong ones of both."""
+    dataset = open_dataset(folder, None, None)
+    camera = dataset.camera
+    perception = StereoPerception(camera)
+    count = {"pairs": 0, "landmarks": 0, "wrong": 0, "refined": 0, "refined wrong": 0}
+    for frame in dataset.frames():
+        path = folder / "truth" / "depth" / f"{frame.index:06d}.npy"
+        if not path.exists():
+            continue  # of a rendering that was stopped
+        depth = np.load(path)
+        disparity = np.nan_to_num(camera.fx * camera.baseline_m / depth)  # none in the sky
+        most, least = maximum_filter(disparity, 5), minimum_filter(disparity, 5)
+        found = perception.perceive(frame).observations
+        row, column = np.rint(found.v).astype(int), np.rint(found.u_left).astype(int)
+        beyond = np.maximum(
+            found.disparity_px - most[row, column], least[row, column] - found.disparity_px
+        )
+        # the keypoints' own precision is much coarser than a patch's
+        scatter = np.sqrt(2.0) * perception.config.stereo_localisation_sigma * 1.2
+        refined = found.sigma_disparity_px < scatter
+        wrong = beyond > WRONG_PX
+        count["pairs"] += 1
+        count["landmarks"] += len(wrong)
+        count["wrong"] += int(wrong.sum())
+        count["refined"] += int(refined.sum())
+        count["refined wrong"] += int((wrong & refined).sum())
     return count

@@ -80,6 +80,17 @@ def _stereo(name: str, methods: Mapping[str, Any]) -> list[str]:
 def _after_ransac(found: Mapping[str, Mapping[str, int]]) -> str:
     warps, pairs = found["homographies"], found["rectified pairs"]
     along = pairs["beyond infinity"]
+    rendered = ""
+    if "rendered pairs" in found:
+        seen = found["rendered pairs"]
+        rendered = (
+            f"\n- Stereo perception itself (epipolar band, sub-pixel refinement; no RANSAC) on "
+            f"{seen['pairs']} rendered pairs with exact depth: {seen['refined wrong']} of "
+            f"{seen['refined']:,} refined landmarks are wrong, "
+            f"{_percent(seen['refined wrong'], seen['refined'])}; with those kept unrefined, at "
+            f"their larger sigma, {seen['wrong']} of {seen['landmarks']:,}, "
+            f"{_percent(seen['wrong'], seen['landmarks'])}."
+        )
     return (
         "An inlier of RANSAC (at 2 px) is wrong when it is farther than 3 px from the truth.\n\n"
         f"- Homographies (the 20 warps of five real images, 3,000 keypoints): "
@@ -91,6 +102,7 @@ def _after_ransac(found: Mapping[str, Mapping[str, int]]) -> str:
         f"more than 3 px, {_percent(along, pairs['inliers'])}. A fundamental matrix cannot see "
         "an error along its lines: stereo perception searches the epipolar band between the "
         "nearest depth and infinity instead, and the motion between frames is a second check."
+        + rendered
     )
 
 
