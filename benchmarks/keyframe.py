@@ -5,7 +5,7 @@
 Beside lunar-fg runs what anyone would write with OpenCV: cv2.SIFT and cv2.ORB, brute-force
 matching, PnP (`pnp_odometry`), OpenCV on one thread. All take each frame in turn, in one
 process, so that load and caches are the same for all. The first frames compile or load the
-kernels and are not counted.
+kernels and are not counted. Results of other datasets in the JSON file are kept.
 """
 
 from __future__ import annotations
@@ -122,7 +122,9 @@ def main() -> None:
             print(f"{name:16s} {stage:15s} {np.median(samples):7.2f} {mean:7.2f} {compared}")
         report[name]["cpu_ms"] = stages
     if arguments.json:
-        arguments.json.write_text(json.dumps(report, indent=1) + "\n")
+        kept = json.loads(arguments.json.read_text()) if arguments.json.exists() else {}
+        kept[dataset.name] = report
+        arguments.json.write_text(json.dumps(kept, indent=1) + "\n")
 
 
 if __name__ == "__main__":

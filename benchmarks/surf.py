@@ -4,16 +4,23 @@ One image, a rectified pair from grey images to triangulated points, sizes, numb
 two threads, a second process. Left and right image take turns, as in a drive: the detector guesses
 its threshold from the image before.
 
-Run as ``python benchmarks/surf.py [--data DIR] [--json PATH] [--quick]``. On a shared machine
-only the ratios mean something.
+Page faults are given beside the times: cv2.SIFT fills 100 MB of buffers a call, and takes half as
+long again where the allocator has returned them to the system since the last call, which depends
+on what else the process does. `--return-memory` makes the allocator return them always (glibc's
+thresholds of a fresh process, held).
+
+Run as ``python benchmarks/surf.py [--data DIR] [--json PATH] [--quick] [--return-memory]``. On a
+shared machine only the ratios mean something.
 """
 
 from __future__ import annotations
 
 import argparse
+import ctypes
 import itertools
 import json
 import os
+import resource
 import subprocess
 import sys
 import time
@@ -62,15 +69,31 @@ def load_average() -> float:
     return os.getloadavg()[0]
 
 
-def interleaved(tasks: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:
-    """Median CPU milliseconds of each task, all tasks once a round."""
+def interleaved(
+    tasks: dict[str, Callable[[], object]], rounds: int
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Median CPU milliseconds and page faults of each task, all tasks once a round."""
     for run in tasks.values():
         run()
     times: dict[str, list[float]] = {name: [] for name in tasks}
+    faults: dict[str, list[int]] = {name: [] for name in tasks}
     for _ in range(rounds):
         for name, run in tasks.items():
+            before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
             times[name].append(cpu_ms(run))
-    return {name: float(np.median(values)) for name, values in times.items()}
+            faults[name].append(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+    return (
+        {name: float(np.median(values)) for name, values in times.items()},
+        {name: float(np.median(values)) for name, values in faults.items()},
+    )
+
+
+def return_memory() -> None:
+    """Make glibc's allocator return large blocks to the system as soon as they are freed."""
+    trim_threshold, mmap_threshold = -1, -3
+    library = ctypes.CDLL(None)
+    for threshold in (trim_threshold, mmap_threshold):
+        library.mallopt(threshold, 128 * 1024)
 
 
 def detectors() -> dict[str, Callable[[Image], object]]:
@@ -183,27 +206,32 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--return-memory", action="store_true", help="see above; glibc only")
     parser.add_argument("--quick", action="store_true", help="fewer rounds, no size table")
     arguments = parser.parse_args()
     rounds = 5 if arguments.quick else 11
     cv2.setNumThreads(1)
+    if arguments.return_memory:
+        return_memory()
     report: dict[str, object] = {"warmup_s": warmup()}
     left, right = read_grey(arguments.data / LEFT), read_grey(arguments.data / RIGHT)
 
     tasks = {name: alternating(run, (left, right)) for name, run in detectors().items()}
-    times = interleaved(tasks, rounds)
-    report["image_ms"] = times
+    times, faults = interleaved(tasks, rounds)
+    report["image_ms"], report["image_page_faults"] = times, faults
     print(f"one image {left.shape[1]} x {left.shape[0]}, {KEYPOINTS} keypoints: CPU ms, of SIFT")
     for name, value in times.items():
-        print(f"  {name:14s} {value:8.2f}   1/{times['cv2.SIFT'] / value:.1f}")
+        ratio = f"1/{times['cv2.SIFT'] / value:.1f}"
+        print(f"  {name:14s} {value:8.2f}   {ratio:7s} {faults[name]:6.0f} page faults")
 
     tasks, features = pair_tasks(left, right)
-    pair = interleaved(tasks, rounds)
-    report["pair_ms"] = pair
+    pair, faults = interleaved(tasks, rounds)
+    report["pair_ms"], report["pair_page_faults"] = pair, faults
     report["pair_landmarks"] = len(features)
     print(f"rectified pair to triangulated points ({len(features)} landmarks): CPU ms, of lunar-fg")
     for name, value in pair.items():
-        print(f"  {name:27s} {value:8.2f}   {value / pair['lunar-fg']:.1f}")
+        ratio = value / pair["lunar-fg"]
+        print(f"  {name:27s} {value:8.2f}   {ratio:5.1f} {faults[name]:6.0f} page faults")
 
     report["load_before_threads"] = load_average()
     speedup = threads_speedup(left, right, rounds)
@@ -224,7 +252,7 @@ def main() -> None:
             surf.detectAndCompute(image)
             peak = tracemalloc.get_traced_memory()[1] / 2**20
             tracemalloc.stop()
-            elapsed = interleaved({"": lambda s=surf, i=image: s.detectAndCompute(i)}, 5)[""]
+            elapsed = interleaved({"": lambda s=surf, i=image: s.detectAndCompute(i)}, 5)[0][""]
             upright[megapixels] = {"ms": elapsed, "peak_mb": peak}
             print(
                 f"  {megapixels:5} Mpx, {surf.max_keypoints:6d} keypoints: {elapsed:8.2f} ms,"
@@ -236,7 +264,7 @@ def main() -> None:
         for count in (500, 1500, 5000, 10000):
             surf = SURF(5, upright=True, max_keypoints=count)
             tasks[count] = lambda s=surf: s.detectAndCompute(image)
-        counts = interleaved({str(k): f for k, f in tasks.items()}, 5)
+        counts, _ = interleaved({str(k): f for k, f in tasks.items()}, 5)
         report["by_keypoints_4mpx_ms"] = counts
         print("  4 Mpx by keypoints: " + ", ".join(f"{k}: {v:.1f} ms" for k, v in counts.items()))
     if arguments.json:

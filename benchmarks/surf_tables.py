@@ -85,7 +85,8 @@ def _after_ransac(found: Mapping[str, Mapping[str, int]]) -> str:
         seen = found["rendered pairs"]
         rendered = (
             f"\n- Stereo perception itself (epipolar band, sub-pixel refinement; no RANSAC) on "
-            f"{seen['pairs']} rendered pairs with exact depth: {seen['refined wrong']} of "
+            f"{seen['pairs']} rendered pairs with exact depth (`lunar-fg simulate DIR --size 512 "
+            f"--length 8 --step 0.4 --depth`, then `--rendered DIR`): {seen['refined wrong']} of "
             f"{seen['refined']:,} refined landmarks are wrong, "
             f"{_percent(seen['refined wrong'], seen['refined'])}; with those kept unrefined, at "
             f"their larger sigma, {seen['wrong']} of {seen['landmarks']:,}, "
