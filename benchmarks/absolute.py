@@ -326,12 +326,14 @@ def write(rows: list[Trial], drives: list[dict[str, object]], out: Path) -> None
         "wrong map": summary(wrong),
         "featureless": summary(blank),
         "runs": drives,
+        # of the others the counts are enough, as long as none is believed
         "trials": [
             {k: round(v, 4) if isinstance(v, float) else v for k, v in asdict(t).items()}
             for t in rows
+            if t.kind == "right map" or t.fixed
         ],
     }
-    text = json.dumps(content, indent=1).replace("NaN", "null")
+    text = json.dumps(content).replace("NaN", "null").replace("}, {", "},\n {")
     (out / "absolute.json").write_text(text + "\n", encoding="utf-8")
     s = summary(right)
     false_right = s["fixed"] - s["fixed_right"]

@@ -17,6 +17,9 @@ from frontends.orbital import MapWindow, OrbitalMap
 _LEAST_KNOWN = 0.3
 #: Share of a patch in shadow under the map's sun above which it is too dark.
 _MOST_DARK = 0.6
+#: Pixels of an elevation model that a patch must cover: models resolve some three pixels, and
+#: what fewer than some two hundred such blots say is wrong by more than it seems.
+_LEAST_DEM_PIXELS = 2000
 #: The errors of an elevation model are as long as its relief: they shift the peak as one.
 _DEM_INFLATION = 2.2
 
@@ -52,6 +55,10 @@ class ReliefInDem:
         """See `Proposer`."""
         if orbital.dem is None:
             return Proposal(self.name, reason="no elevation model")
+        pixels = int(patch.area_m2 / orbital.dem.gsd_m**2)
+        if pixels < _LEAST_DEM_PIXELS:
+            reason = f"too small: {pixels} pixels of the model, {_LEAST_DEM_PIXELS} are needed"
+            return Proposal(self.name, reason=reason)
         window = orbital.height(window_bounds(patch, search), patch.grid.cell_m)
         assert window is not None
         pixel = map_pixel(orbital, patch)
