@@ -34,7 +34,7 @@ from frontends.stereo import StereoFeatures
 from lunar_fg.graph.incremental import IncrementalSmoother
 from lunar_fg.graph.keyframe import Keyframe
 from lunar_fg.graph.ledger import FixDecision, LedgerEntry, LoopClosure
-from lunar_fg.graph.planar import planar, planar_of, wrapped
+from lunar_fg.graph.planar import Planar, planar, planar_of, wrapped
 
 logger = logging.getLogger("lunar_fg.loop_closing")
 
@@ -189,8 +189,14 @@ class LoopClosing:
         closure = self.recognise(smoother, keyframe, features, estimate)
         if closure is None:
             return None
-        self._used |= {closure.base, closure.frame}
-        return smoother.add_relative(closure.base, closure.frame, closure.a_T_b, closure.covariance)
+        i, j = closure.base, closure.frame
+        try:
+            decision = smoother.add_relative(i, j, closure.a_T_b, closure.covariance)
+        except EstimationError as error:
+            logger.warning("keyframe %d: the loop is left open: %s", j, error)
+            return None
+        self._used |= {i, j}
+        return decision
 
     def recognise(
         self,
@@ -282,9 +288,7 @@ class LoopClosing:
 
     def _keep(self, place: Place, estimate: Estimate, reach_m: float) -> None:
         here = planar_of(estimate.map_T_rover, estimate.covariance)
-        position = float(np.linalg.eigvalsh(here.covariance[:2, :2])[-1])
-        sigma = np.sqrt(np.maximum([position, here.covariance[2, 2]], 0.0))
-        row = np.concatenate([here.xyyaw, sigma, [reach_m, self._driven_m, self._lost]])
+        row = np.concatenate([here.xyyaw, _sigmas(here), [reach_m, self._driven_m, self._lost]])
         self._places.append(place)
         self._table = np.vstack([self._table, row])
         self._bytes += place.nbytes
@@ -298,12 +302,12 @@ class LoopClosing:
         here, table = planar_of(estimate.map_T_rover, estimate.covariance), self._table
         reach = table[:, _Column.REACH]
         way = self._driven_m - table[:, _Column.DRIVEN]
-        position = math.sqrt(float(np.linalg.eigvalsh(here.covariance[:2, :2])[-1]))
+        position, turn = _sigmas(here)
         # of both positions; of a measured motion alone it is less
         sigma = table[:, _Column.SIGMA] + position
         measured = table[:, _Column.LOST] == self._lost
         sigma[measured] = np.minimum(sigma, _MOST_DRIFT * way)[measured]
-        yaw_sigma = table[:, _Column.YAW_SIGMA] + math.sqrt(float(here.covariance[2, 2]))
+        yaw_sigma = table[:, _Column.YAW_SIGMA] + turn
         distance = np.linalg.norm(table[:, :2] - here.xyyaw[:2], axis=1)
         turned = np.abs(np.angle(np.exp(1j * (table[:, _Column.YAW] - here.xyyaw[2]))))
         possible = way >= _OLD * reach
@@ -325,9 +329,15 @@ class LoopClosing:
     def _may_see(self, motion: MotionPrediction, reach_m: float) -> bool:
         """Whether the old view and the new one can be near enough for the same landmarks."""
         x, y, yaw = planar(motion.a_T_b)
-        yaw_sigma = math.sqrt(float(motion.covariance[2, 2]))
+        yaw_sigma = math.sqrt(max(float(motion.covariance[2, 2]), 0.0))
         near = math.hypot(x, y) <= reach_m + _SIGMAS * _spread(motion.covariance)
         return near and abs(yaw) <= self._view_change + _SIGMAS * yaw_sigma
+
+
+def _sigmas(planar: Planar) -> tuple[float, float]:
+    """Largest 1-sigma of the position (m) and that of the yaw (rad)."""
+    position = float(np.linalg.eigvalsh(planar.covariance[:2, :2])[-1])
+    return math.sqrt(max(position, 0.0)), math.sqrt(max(float(planar.covariance[2, 2]), 0.0))
 
 
 def _spread(covariance: FloatArray) -> float:
