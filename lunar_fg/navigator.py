@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +10,6 @@ from numpy.typing import NDArray
 
 from frontends.camera import StereoCamera, level_rover_T_camera
 from frontends.detector import FeatureDetector
-from frontends.errors import InputError
 from frontends.measurements import Estimate, StartPrior, StereoFrame, UnusableFrame
 from frontends.orbital import OrbitalMap
 from frontends.rectification import RectificationError
@@ -23,6 +21,7 @@ from lunar_fg.graph.feed import feed
 from lunar_fg.graph.incremental import IncrementalSmoother
 from lunar_fg.graph.keyframe import Keyframe
 from lunar_fg.graph.ledger import FixDecision, LedgerEntry
+from lunar_fg.journal import Journal
 from lunar_fg.localisation import Localisation
 from lunar_fg.log import TraverseLog
 from lunar_fg.loop_closing import LoopClosing
@@ -80,7 +79,7 @@ class Navigator:
         self.frames_lost = 0
         self.frames_before = 0
         """Frames that came before the run was resumed."""
-        self._log = log
+        self._journal = Journal(log)
         self._start = start or StartPrior()
         self._frontend = Frontend(
             camera, self.rover_T_camera, self._start, self.config, self.stopwatch, detector
@@ -115,14 +114,13 @@ class Navigator:
             nothing that was estimated is lost.
         """
         self._order.check(frame)
-        with self.stopwatch.frame(), self._one_entry():
+        with self.stopwatch.frame(), self._journal.one_entry():
             keyframe = self.keyframe = self._frontend.measure(frame)
             with self.stopwatch.stage("graph"):
                 estimate = self._smoother.add(keyframe)
-            if self._log is not None:
-                with self.stopwatch.stage("log"):
-                    record = self._frontend.records[-1]
-                    self._log.append(keyframe, estimate, record, self._checkpoint())
+            with self.stopwatch.stage("log"):
+                record = self._frontend.records[-1]
+                self._journal.frame(keyframe, estimate, record, self._checkpoint())
             if self._calibration.watch(keyframe):
                 with self.stopwatch.stage("self-calibration"):
                     estimate = self._recalibrate()
@@ -153,42 +151,31 @@ class Navigator:
         InputError
             The log lacks what is needed, or cannot be read.
         """
-        assert self._log is not None
-        logged, newest = self._log.frames(), self._log.checkpoint()
-        if not logged:
+        past = self._journal.past()
+        if past is None:
             return
-        keyframes = [frame.keyframe for frame in logged]
-        records = [frame.record for frame in logged if frame.record is not None]
-        if newest is None or newest[0] != keyframes[-1].index or len(records) < len(logged):
-            raise InputError(
-                "holds measurements only: the images' side cannot go on from it",
-                source="log",
-                remedy="use `lunar-fg replay`, or run again",
-            )
-        ledger = self._log.ledger()
-        list(feed(self._smoother, keyframes, ledger))
-        if _rulings(ledger) != _rulings(self._smoother.ledger):
+        keyframes, checkpoint = past.keyframes, past.checkpoint
+        list(feed(self._smoother, keyframes, past.ledger))
+        if _rulings(past.ledger) != _rulings(self._smoother.ledger):
             # A sitting that ended has voted once more; the next one goes on from before that.
-            self._log.replace_ledger(self._smoother.ledger)
-        checkpoint = newest[1]
-        self._frontend.restore(checkpoint, list(zip(keyframes, records, strict=True)))
+            self._journal.ledger(self._smoother.ledger)
+        self._frontend.restore(checkpoint, list(zip(keyframes, past.records, strict=True)))
         self._corrected = checkpoint.corrected
         self._order.accept(keyframes[-1])
-        self.frames_before = len(logged)
-        self.frames_lost = sum(frame.estimate.lost for frame in logged)
+        self.frames_before = len(keyframes)
+        self.frames_lost = sum(estimate.lost for estimate in past.estimates)
         if not checkpoint.watching:
             self._calibration.concluded(checkpoint.finding)
         elif [k for k in keyframes if self._calibration.watch(k)]:
             last = self._recalibrate()
             self.frames_lost += last.lost
+            past = self._journal.past() or past  # corrected
         if self.loops is not None:
-            self.loops.restore(
-                self._log.places(), (f.estimate for f in self._log.frames()), self._smoother.ledger
-            )
+            self.loops.restore(past.places, past.estimates, self._smoother.ledger)
         if self.localisation is not None:
             self.localisation.restore(
                 frames,
-                {frame.keyframe.index: frame for frame in logged},
+                {frame.keyframe.index: frame for frame in past.frames},
                 self._smoother.ledger,
                 self._frontend.perception.rectification,
             )
@@ -200,10 +187,10 @@ class Navigator:
             self.frames_lost += last.lost
         if self.localisation is not None:
             decision = self.localisation.fix(self._smoother, last=True)
-            if decision is not None and self._log is not None:
-                self._log.append_decisions([decision])
-        if self._smoother.finish() and self._log is not None:
-            self._log.replace_ledger(self._smoother.ledger)
+            if decision is not None:
+                self._journal.decision(decision)
+        if self._smoother.finish():
+            self._journal.ledger(self._smoother.ledger)
 
     def trajectory(self) -> Trajectory:
         """Return the smoothed pose and covariance of every frame so far."""
@@ -268,8 +255,7 @@ class Navigator:
         place = loops.observe(keyframe, features, estimate)
         if place is None or features is None:
             return estimate
-        if self._log is not None:
-            self._log.append_place(place)
+        self._journal.place(place)
         # before the calibration is settled, old and new places may have another scale
         if self._calibration.watching:
             return estimate
@@ -280,17 +266,12 @@ class Navigator:
         """Log a verdict, and say where the rover is after it."""
         if decision is None:
             return estimate
-        if self._log is not None:
-            self._log.append_decisions([decision])
+        self._journal.decision(decision)
         latest = self._smoother.predicted(estimate.index)
         used = (*estimate.used, name) if decision.accepted else estimate.used
         return replace(
             estimate, map_T_rover=latest.map_T_rover, covariance=latest.covariance, used=used
         )
-
-    def _one_entry(self) -> AbstractContextManager[None]:
-        """All that a frame writes into the log is written or lost together."""
-        return nullcontext() if self._log is None else self._log.together()
 
     def _checkpoint(self) -> Checkpoint:
         return replace(
@@ -319,8 +300,7 @@ class Navigator:
         if self.localisation is not None:
             self.localisation.correct(RectificationError(disparity_px=finding.field_px))
         self._corrected = True
-        if self._log is not None:
-            self._log.rewrite(entries, self._checkpoint(), smoother.ledger, places)
+        self._journal.rewrite(entries, self._checkpoint(), smoother.ledger, places)
         self._smoother = smoother
         self.frames_lost = sum(estimate.lost for _, estimate in entries[:-1])
         return entries[-1][1]
