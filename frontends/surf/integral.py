@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from frontends.jit import kernel, njit
 
 LANES = 64  # row lengths of hot loops are multiples of this: no scalar remainder after SIMD
-STRIP = 1024  # columns worked through at a time
+STRIP = 512  # columns worked through at a time
 LEAD = 8  # pixels from one running sum to the next
 FRACTION_BITS = 2  # sums are of grey * 2**FRACTION_BITS
 

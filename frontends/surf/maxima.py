@@ -148,7 +148,10 @@ def detect_pair(
     if h <= 2 * margin + 2 or w <= 2 * margin + 2:
         return 0
 
-    n = padded_length(min(STRIP, w - 2 * margin))  # columns evaluated at a time
+    # the first and the last response of a strip only serve as neighbours
+    wanted = w - 2 * margin - 2
+    strips = (wanted + STRIP - 3) // (STRIP - 2)
+    n = padded_length((wanted + strips - 1) // strips + 2)  # columns evaluated at a time
     first = margin + _ASIDE  # where the first of them is in the ring
     columns = n + padded_length(first + widest + 2)
     rows = 32 if 2 * widest + 2 <= 32 else 64
@@ -172,8 +175,7 @@ def detect_pair(
     half = np.float32(0.5)
     count = 0
 
-    # the first and the last response of a strip only serve as neighbours
-    for left in range(0, w - 2 * margin - 2, n - 2):
+    for left in range(0, wanted, n - 2):
         ring[0] = 0
         for newest in range(h + widest - margin):
             if newest <= h:
