@@ -129,8 +129,9 @@ def test_maxima_are_those_of_all_layers(height: int, width: int) -> None:
             if abs(dense[layer, y, x] - row[3]) < tolerance
         ]
         assert near
-        # the one that it is of is the only maximum among them, or all are alike
-        found[next((place for place in near if place in expected), near[0])] = row
+        # a maximum among them if there is one
+        near.sort(key=lambda place: (place not in expected, place not in unsure))
+        found[near[0]] = row
     assert len(expected) > 10
     assert set(found) ^ expected <= unsure
     assert len(set(found) ^ expected) <= 0.1 * len(expected)
@@ -160,7 +161,7 @@ def test_strips_do_not_show() -> None:
     The bit that the larger filter drops depends on where a strip begins: a few that are hardly
     maxima come or go.
     """
-    image = textured(17, 80, 2 * STRIP + 300)
+    image = textured(17, 80, 4 * STRIP + 300)
     whole = SURF(20, upright=True).detectAndCompute(image)
     lost = all_of_them = 0
     for begin in (0, 300, STRIP - 100, 1500):
