@@ -105,7 +105,7 @@ class Frontend:
         self.records.append(FrameRecord(sensors, report, unusable, by_wheels))
         self._motion.update(sensors, relative)
         if isinstance(taken, StereoFrame):
-            self._dead_camera.remember(taken)
+            self._dead_camera.remember()
         tilt = self._plausibility.tilt(frame.index, tilt_of(frame), relative)
         if len(self.records) == 1:
             return Keyframe(frame.index, frame.stamp_s, observations, tilt=tilt)

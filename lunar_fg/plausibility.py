@@ -72,26 +72,25 @@ class DeadCamera:
     def __init__(self) -> None:
         self.seen: tuple[bytes, bytes] | None = None
         """Digests of the last left and right image."""
+        self._examined: tuple[bytes, bytes] | None = None
 
     def found(self, frame: StereoFrame) -> str:
         """Say what is wrong with the images; empty when nothing is."""
+        self._examined = None
         for name, image in (("left", frame.left), ("right", frame.right)):
             if image.min() == image.max():
                 return f"the {name} image is blank"
+        self._examined = _digest(frame.left), _digest(frame.right)
         for name, now, before in zip(
-            ("left", "right"), _digests(frame), self.seen or (), strict=False
+            ("left", "right"), self._examined, self.seen or (), strict=False
         ):
             if now == before:
                 return f"the {name} image is that of the frame before"
         return ""
 
-    def remember(self, frame: StereoFrame) -> None:
-        """Compare the next frame with this one."""
-        self.seen = _digests(frame)
-
-
-def _digests(frame: StereoFrame) -> tuple[bytes, bytes]:
-    return _digest(frame.left), _digest(frame.right)
+    def remember(self) -> None:
+        """Compare the next frame with the one examined last, unless it was blank."""
+        self.seen = self._examined or self.seen
 
 
 def _digest(image: Image) -> bytes:

@@ -116,7 +116,7 @@ def test_dead_cameras(eye):
     blank = np.zeros((240, 320), np.uint8)
     camera = DeadCamera()
     assert camera.found(frame(0, images[0], images[1])) == ""
-    camera.remember(frame(0, images[0], images[1]))
+    camera.remember()
     repeated = (images[0], images[2]) if eye == "left" else (images[2], images[1])
     assert camera.found(frame(1, *repeated)) == f"the {eye} image is that of the frame before"
     dead = (blank, images[3]) if eye == "left" else (images[3], blank)
