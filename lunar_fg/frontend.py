@@ -67,6 +67,7 @@ class Frontend:
         self._rover_T_camera = rover_T_camera
         self._start = start
         self._config = config
+        self._found: int = 0  # landmarks that the last motion was seen by
         self._relive(())
         self._stopwatch = stopwatch
 
@@ -91,7 +92,7 @@ class Frontend:
         else:
             with self._stopwatch.stage("stereo"):
                 features = self.perception.perceive(frame)
-            shared = same_ground(self._tracker.in_view(prediction), len(features))
+            shared = same_ground(self._tracker.in_view(prediction), len(features), self._found)
             tracks, relative = self._locate(features, prediction)
             standing = zero_motion(relative)
             if standing is None:
@@ -104,6 +105,8 @@ class Frontend:
         by_wheels = self._dead_reckoning.step(sensors)
         self.records.append(FrameRecord(sensors, report, unusable, by_wheels))
         self._motion.update(sensors, relative)
+        if relative.accepted:
+            self._found = len(relative.inlier_ids)
         if isinstance(taken, StereoFrame):
             self._dead_camera.remember()
         tilt = self._plausibility.tilt(frame.index, tilt_of(frame), relative)
@@ -177,11 +180,14 @@ class Frontend:
         self._motion = MotionModel(self._rover_T_camera, self._config.motion)
         self._plausibility = Plausibility(self._rover_T_camera, self._config.motion)
         self._dead_reckoning = DeadReckoning(self._start, self._config.motion)
+        self._found = 0
         for keyframe, record in frames:
             sensors, relative = record.sensors, keyframe.relative
             odometry = self._motion.odometry(sensors)
             self._motion.update(sensors, relative)
             self._dead_reckoning.step(sensors)
+            if relative is not None and relative.accepted:
+                self._found = len(relative.inlier_ids)
             if relative is None:  # at the first frame
                 relative = _unmeasured(self._motion.predict(sensors), "")
             else:

@@ -29,6 +29,9 @@ _MOTION_GATE, _TILT_GATE = (float(chi2.isf(_FALSE_ALARM, df)) for df in (6, 2))
 #: Two views of so many landmarks each, on the same ground, have some in common: were only half
 #: of them found again, fewer than relative positioning needs (12) would be found once in 1e4.
 _ENOUGH_LANDMARKS = 50
+#: And only where landmarks are found again well, as the last motion that was seen shows: where
+#: images are poor, or steps long, a motion that is not seen is nothing special.
+_FOUND_WELL = 100
 #: Noise is in every row: each eighth tells as well whether an image is a new one.
 _EVERY_ROW = 8
 
@@ -202,7 +205,7 @@ class Plausibility:
         self._drift += float(np.linalg.eigvalsh(seen.covariance[:3, :3])[-1])
 
 
-def same_ground(before: int, now: int) -> bool:
+def same_ground(before: int, now: int, found: int) -> bool:
     """Whether two views must have landmarks in common.
 
     Parameters
@@ -211,8 +214,10 @@ def same_ground(before: int, now: int) -> bool:
         Landmarks of the frame before that the wheels' motion leaves in the picture.
     now
         Landmarks of this frame.
+    found
+        Landmarks that the last motion was seen by.
     """
-    return min(before, now) >= _ENOUGH_LANDMARKS
+    return min(before, now) >= _ENOUGH_LANDMARKS and found >= _FOUND_WELL
 
 
 def was_carried(keyframe: Keyframe, config: MotionConfig) -> bool:

@@ -71,9 +71,11 @@ def test_a_rover_that_was_carried_may_be_anywhere():
     assert not was_carried(Keyframe(6, 6.0, None, seen(STEP), opened), MotionConfig())
     assert not was_carried(Keyframe(7, 7.0, None, None, wheels), MotionConfig())
     # too few landmarks to expect any of them again
-    assert not same_ground(20, 400)
-    assert not same_ground(400, 20)
-    assert same_ground(60, 60)
+    assert not same_ground(20, 400, 300)
+    assert not same_ground(400, 20, 300)
+    # nor where few were found again all along
+    assert not same_ground(400, 400, 40)
+    assert same_ground(400, 400, 300)
 
 
 def tilts(truth, bias, rng):
