@@ -48,15 +48,17 @@ class MotionModel:
     def odometry(self, frame: Sensed) -> Odometry | None:
         """Motion by the wheels since the frame before, rover axes.
 
-        The attitude gives it the change of roll and pitch as an initial value, but no
-        information: the graph has the same readings as tilts. Slip goes on from step to step,
-        and the graph takes steps for independent: the sigmas are such that they add up right.
+        The turn is that of wheels and attitude together. The change of roll and pitch is an
+        initial value without information: the graph has the same readings as tilts. Slip goes
+        on from step to step, and the graph takes steps for independent: the sigmas are such
+        that they add up right.
         """
         if frame.odometry is None:
             return None
         before = None if self._before is None else self._before.attitude
-        rotation = _rotation(frame.odometry, before, frame.attitude)
         sigmas = _wheel_sigmas(frame.odometry, self.config, adding_up=True)
+        turn, sigmas[2] = _turn(frame.odometry, float(sigmas[2]), before, frame.attitude)
+        rotation = _rotation(turn, before, frame.attitude)
         return Odometry(_chord(frame.odometry, rotation), np.diag(sigmas**2))
 
     def predict(self, frame: Sensed) -> MotionPrediction:
@@ -102,18 +104,20 @@ class MotionModel:
         """Wheels less the slip that the images showed lately, tilted as the attitude changed."""
         before = None if self._before is None else self._before.attitude
         sigmas = _wheel_sigmas(wheels, self.config)
+        turn_rad, sigmas[2] = _turn(wheels, float(sigmas[2]), before, attitude)
         if before is not None and attitude is not None:
             sigmas[:2] = np.hypot(before.sigma_rp_rad, attitude.sigma_rp_rad)
         slip, distance = self._slip.after(wheels), abs(wheels.d_forward_m)
         covariance = np.diag(sigmas**2)
-        covariance[3:5, 3:5] = self.config.wheel_sigma_m**2 * np.eye(2)
+        base = np.hypot(self.config.wheel_sigma_m, _path_sigma_m(wheels))
+        covariance[3:5, 3:5] = base**2 * np.eye(2)
         covariance[3:5, 3:5] += distance**2 * slip.covariance
         moved = replace(
             wheels,
             d_forward_m=wheels.d_forward_m * (1.0 - float(slip.mean[0])),
             d_lateral_m=wheels.d_lateral_m + distance * float(slip.mean[1]),
         )
-        motion = _chord(moved, _rotation(wheels, before, attitude))
+        motion = _chord(moved, _rotation(turn_rad, before, attitude))
         turn = adjoint(self._camera_T_rover)
         return MotionPrediction(
             self._camera_T_rover @ motion @ self._rover_T_camera,
@@ -128,12 +132,28 @@ def tilt_of(frame: Sensed) -> Tilt | None:
     return Tilt(frame.attitude.roll_rad, frame.attitude.pitch_rad, frame.attitude.sigma_rp_rad)
 
 
-def _rotation(wheels: WheelOdometry, before: Attitude | None, now: Attitude | None) -> Rotation:
-    """Turn of the wheels, roll and pitch as the attitude changes where it is known."""
-    turn = Rotation.from_euler("z", wheels.d_yaw_rad)
+def _turn(
+    wheels: WheelOdometry, sigma_rad: float, before: Attitude | None, now: Attitude | None
+) -> tuple[float, float]:
+    """Turn about the vertical by wheels and attitude, each for what it is worth, and its sigma.
+
+    An attitude's yaw drifts, and two readings err alike: their difference is better than the
+    sum of their sigmas says. It is the wheels' large turns that are worse.
+    """
+    if before is None or now is None:
+        return wheels.d_yaw_rad, sigma_rad
+    change = now.yaw_rad - before.yaw_rad - wheels.d_yaw_rad
+    change = float(np.angle(np.exp(1j * change)))
+    of_change = float(np.hypot(before.sigma_yaw_rad, now.sigma_yaw_rad))
+    share = sigma_rad**2 / (sigma_rad**2 + of_change**2)
+    return wheels.d_yaw_rad + share * change, float(np.sqrt(share)) * of_change
+
+
+def _rotation(turn_rad: float, before: Attitude | None, now: Attitude | None) -> Rotation:
+    """A turn about the vertical; roll and pitch as the attitude changes where it is known."""
+    turn = Rotation.from_euler("z", turn_rad)
     if before is None or now is None:
         return turn
-    # the attitude's yaw is left out: it drifts
     level_before = Rotation.from_euler("ZYX", [0.0, before.pitch_rad, before.roll_rad])
     level_now = Rotation.from_euler("ZYX", [0.0, now.pitch_rad, now.roll_rad])
     return level_before.inv() * turn * level_now
@@ -147,6 +167,12 @@ def _chord(wheels: WheelOdometry, rotation: Rotation) -> FloatArray:
     """Motion along an arc that turns by `rotation`."""
     translation = _half(rotation).apply([wheels.d_forward_m, wheels.d_lateral_m, 0.0])
     return pose(rotation.as_matrix(), translation)
+
+
+def _path_sigma_m(wheels: WheelOdometry) -> float:
+    """1-sigma of the place because the turn may have come anywhere on the way, not evenly."""
+    distance = float(np.hypot(wheels.d_forward_m, wheels.d_lateral_m))
+    return distance * min(abs(wheels.d_yaw_rad), 2.0 * np.pi) / float(np.sqrt(12.0))
 
 
 def _wheel_sigmas(
@@ -163,6 +189,7 @@ def _wheel_sigmas(
     if adding_up and distance > 0.0:
         grown = float(np.sqrt(1.0 / np.tanh(0.5 * distance / config.slip_length_m)))
     sigma_m = float(np.hypot(config.wheel_sigma_m, grown * config.slip * distance))
+    sigma_m = float(np.hypot(sigma_m, _path_sigma_m(wheels)))
     turn = grown * np.hypot(
         config.heading_sigma * wheels.d_yaw_rad, config.veer_rad_per_m * distance
     )
