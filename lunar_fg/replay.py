@@ -15,7 +15,7 @@ from lunar_fg.log import TraverseLog
 from lunar_fg.log_entries import LoggedFrame
 from lunar_fg.motion import MotionModel
 from lunar_fg.motion_config import MotionConfig
-from lunar_fg.plausibility import Plausibility
+from lunar_fg.plausibility import Plausibility, was_carried
 from lunar_fg.record import dead_reckoning_of
 from lunar_fg.run_folder import RunFolder
 from lunar_fg.runs import as_trajectory, compare, config_of
@@ -108,7 +108,7 @@ def with_motion(
     frames: list[LoggedFrame], rover_T_camera: FloatArray, start: StartPrior, config: MotionConfig
 ) -> list[LoggedFrame]:
     """Give each frame the motion by its logged sensors that these settings make of them."""
-    motion, plausibility = MotionModel(rover_T_camera, config), Plausibility(rover_T_camera)
+    motion, plausibility = MotionModel(rover_T_camera, config), Plausibility(rover_T_camera, config)
     by_wheels = DeadReckoning(start, config)
     result: list[LoggedFrame] = []
     for frame in frames:
@@ -118,7 +118,12 @@ def with_motion(
             odometry = motion.odometry(sensors) if result else None
             motion.update(sensors, keyframe.relative)
             if keyframe.relative is not None:
-                odometry = plausibility.odometry(keyframe.index, odometry, keyframe.relative)
+                odometry = plausibility.odometry(
+                    keyframe.index,
+                    odometry,
+                    keyframe.relative,
+                    same_ground=was_carried(keyframe, config),
+                )
             frame = replace(frame, keyframe=replace(keyframe, odometry=odometry), record=record)
         result.append(frame)
     return result
