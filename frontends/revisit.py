@@ -86,7 +86,7 @@ class Place:
     ) -> Place:
         """Keep the strongest `most` of the nearer landmarks of a frame.
 
-        What lies beyond twice the median depth tells how the rover has turned, not where it
+        What lies beyond three times the median depth tells how the rover has turned, not where it
         is: with one wrong match nearby, many such landmarks would agree on a wrong place.
 
         Parameters
@@ -147,6 +147,17 @@ class Place:
         )  # fmt: skip
 
 
+@dataclass(frozen=True, slots=True)
+class _Views:
+    """A kept place, unpacked, and the view that may show it again."""
+
+    place: Place
+    old: StereoObservations
+    descriptors: NDArray[np.float32]
+    observations: StereoObservations
+    features: StereoFeatures
+
+
 class Revisiting:
     """Measures the motion from an old view of a place to the present one.
 
@@ -185,20 +196,17 @@ class Revisiting:
             Motion from old to new as expected.
         """
         old = place.observations(self.camera)
-        size = place.size_px.astype(np.float64)
         descriptors = place.descriptors.astype(np.float32) / np.float32(_STEPS)
+        views = _Views(place, old, descriptors, observations, features)
+        size = place.size_px.astype(np.float64)
         half_px = self._window_px(old, prediction)
-        first = self._estimate(
-            place, descriptors, old, observations, features, prediction, half_px, _RATIO
-        )
+        first = self._estimate(views, prediction, half_px, _RATIO)
         if not first.accepted:
             return first
         known = MotionPrediction(first.a_T_b, first.covariance)
         shift = _shift_px(old.points_cam, size, first.a_T_b)
         near_px = min(half_px, _NEAR_SIGMAS * float(np.median(np.hypot(old.sigma_px, shift))))
-        return self._estimate(
-            place, descriptors, old, observations, features, known, near_px, _NEAR_RATIO
-        )
+        return self._estimate(views, known, near_px, _NEAR_RATIO)
 
     def least_sigma_m(self, place: Place) -> float:
         """1-sigma of the position below which a view of a place cannot tell more, m."""
@@ -210,23 +218,14 @@ class Revisiting:
         return _COMMON_SHARE * float(np.median(size_px * depth_m)) / self.camera.fx
 
     def _estimate(
-        self,
-        place: Place,
-        descriptors: NDArray[np.float32],
-        old: StereoObservations,
-        observations: StereoObservations,
-        features: StereoFeatures,
-        prediction: MotionPrediction,
-        half_px: float,
-        ratio: float,
+        self, views: _Views, prediction: MotionPrediction, half_px: float, ratio: float
     ) -> RelativePose:
-        matches = self._match(
-            place, descriptors, old, observations, features, prediction, half_px, ratio
-        )
+        matches = self._match(views, prediction, half_px, ratio)
+        old = views.old
         points = old.points_cam[matches.query]
-        size = np.maximum(place.size_px[matches.query], features.size_px[matches.train])
+        size = np.maximum(views.place.size_px[matches.query], views.features.size_px[matches.train])
         seen = replace(
-            _from_aside(observations.select(matches.train), points, size, prediction.a_T_b),
+            _from_aside(views.observations.select(matches.train), points, size, prediction.a_T_b),
             landmark_id=old.landmark_id[matches.query],
         )
         measured = self._positioning.estimate(
@@ -241,17 +240,9 @@ class Revisiting:
         return replace(measured, covariance=covariance)
 
     def _match(
-        self,
-        place: Place,
-        descriptors: NDArray[np.float32],
-        old: StereoObservations,
-        observations: StereoObservations,
-        features: StereoFeatures,
-        prediction: MotionPrediction,
-        half_px: float,
-        ratio: float,
+        self, views: _Views, prediction: MotionPrediction, half_px: float, ratio: float
     ) -> Matches:
-        camera = self.camera
+        camera, old, observations = self.camera, views.old, views.observations
         points = transform_points(inverse(prediction.a_T_b), old.points_cam)
         with np.errstate(divide="ignore", invalid="ignore"):
             projected = camera.project(points)
@@ -263,11 +254,11 @@ class Revisiting:
         else:
             rows = np.flatnonzero((points[:, 2] > 0.0) & camera.contains(u, v, -half_px))
         matches = match_in_windows(
-            descriptors[rows],
-            place.laplacian[rows],
+            views.descriptors[rows],
+            views.place.laplacian[rows],
             SearchWindows(u[rows], v[rows], half_px, half_px),
-            features.descriptors,
-            features.laplacian,
+            views.features.descriptors,
+            views.features.laplacian,
             np.stack([observations.u_left, observations.v], axis=-1),
             ratio=ratio,
         )
