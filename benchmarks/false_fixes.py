@@ -23,7 +23,12 @@ from frontends.measurements import FloatArray, Verdict
 from lunar_fg.graph import IncrementalSmoother
 from lunar_fg.graph.planar import Planar, planar, planar_of, turned, wrapped
 from lunar_fg.simulation.fixes import FixSpec, SimulatedFixes, simulate_fixes
-from lunar_fg.simulation.measurements import SimulatedTraverse, TraverseSpec, simulate
+from lunar_fg.simulation.measurements import (
+    INDEPENDENT,
+    SimulatedTraverse,
+    TraverseSpec,
+    simulate,
+)
 
 _STEP_M = 2.0
 #: Keyframes of a run, by the metres between fixes.
@@ -92,7 +97,7 @@ def product_way(
     run: SimulatedTraverse, fixes: SimulatedFixes, *, oracle: bool = False
 ) -> tuple[_Result, IncrementalSmoother]:
     """The smoother, given all fixes or only the true ones."""
-    smoother = IncrementalSmoother(run.camera, run.rover_T_camera, run.start)
+    smoother = IncrementalSmoother(run.camera, run.rover_T_camera, run.start, INDEPENDENT)
     waiting = {f.frame: f for f, true in zip(fixes.fixes, fixes.true, strict=True)
                if true or not oracle}  # fmt: skip
     seconds = 0.0

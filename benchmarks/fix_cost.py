@@ -10,7 +10,7 @@ import numpy as np
 from frontends.measurements import AbsoluteFix, FixCandidate, FloatArray
 from lunar_fg.graph import IncrementalSmoother, optimize_batch
 from lunar_fg.graph.planar import planar
-from lunar_fg.simulation.measurements import TraverseSpec, simulate
+from lunar_fg.simulation.measurements import INDEPENDENT, TraverseSpec, simulate
 
 _SIGMAS = np.array([1.0, 1.0, 0.02])
 
@@ -49,7 +49,7 @@ class TakenBack:
 def fix_cost(keyframes: int, every: int = 20) -> FixCost:
     """Time every fix of a traverse, then batch from scratch on the same measurements."""
     run = simulate(TraverseSpec(keyframes=keyframes, landmarks=60, odometry=True, tilt=True), 1)
-    smoother = IncrementalSmoother(run.camera, run.rover_T_camera, run.start)
+    smoother = IncrementalSmoother(run.camera, run.rover_T_camera, run.start, INDEPENDENT)
     rng, times = np.random.default_rng(0), []
     for keyframe in run.keyframes:
         smoother.add(keyframe)
@@ -61,7 +61,7 @@ def fix_cost(keyframes: int, every: int = 20) -> FixCost:
     smoother.finish()
     begin = process_time()
     optimize_batch(
-        run.camera, run.rover_T_camera, run.start, run.keyframes,
+        run.camera, run.rover_T_camera, run.start, run.keyframes, INDEPENDENT,
         initial=smoother.trajectory(), ledger=smoother.ledger,
     )  # fmt: skip
     batch = process_time() - begin
@@ -81,7 +81,7 @@ def taken_back(keyframes: int, repeats: int = 5) -> list[TakenBack]:
     later = 250
     spec = TraverseSpec(keyframes=keyframes + later, landmarks=0, odometry=True, tilt=True)
     run = simulate(spec, 1)
-    smoother = IncrementalSmoother(run.camera, run.rover_T_camera, run.start)
+    smoother = IncrementalSmoother(run.camera, run.rover_T_camera, run.start, INDEPENDENT)
     rng = np.random.default_rng(0)
 
     def drive(first: int, last: int) -> None:

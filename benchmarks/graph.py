@@ -36,7 +36,7 @@ from lunar_fg.graph import (
 )
 from lunar_fg.graph.factors import pose_key
 from lunar_fg.graph.landmarks import WholeGraph, map_point
-from lunar_fg.simulation.measurements import TraverseSpec, simulate
+from lunar_fg.simulation.measurements import INDEPENDENT, TraverseSpec, simulate
 
 _DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -53,6 +53,7 @@ class Data:
     start: StartPrior
     keyframes: tuple[Keyframe, ...]
     truth: FloatArray | None
+    config: GraphConfig
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,7 @@ class PlainIsam:
 
     def __init__(self, data: Data) -> None:
         self._data = data
-        self._whole = WholeGraph(data.camera, data.rover_T_camera, data.start, GraphConfig())
+        self._whole = WholeGraph(data.camera, data.rover_T_camera, data.start, data.config)
         self._isam = gtsam.ISAM2(gtsam.ISAM2Params())
         self._count = 0
 
@@ -114,7 +115,7 @@ class PlainIsam:
 
 
 def smoother(data: Data, mode: str) -> IncrementalSmoother:
-    config = GraphConfig(landmarks="segments" if mode == "segments" else "full")
+    config = data.config.model_copy(update={"landmarks": mode})
     return IncrementalSmoother(data.camera, data.rover_T_camera, data.start, config)
 
 
@@ -185,7 +186,7 @@ def agreement(data: Data) -> list[Agreement]:
         results[mode] = graph.trajectory(), process_time() - begin
     begin, first = process_time(), results["segments"][0]
     batch = optimize_batch(
-        data.camera, data.rover_T_camera, data.start, data.keyframes, initial=first
+        data.camera, data.rover_T_camera, data.start, data.keyframes, data.config, first
     ).trajectory
     results["batch"] = batch, process_time() - begin
     full = results["full"][0]
@@ -233,8 +234,9 @@ def simulated(keyframes: int) -> Data:
     """A traverse with wheels and inclinometer, about 100 observations a keyframe."""
     run = simulate(TraverseSpec(keyframes=keyframes, odometry=True, tilt=True), seed=1)
     return Data(
-        "simulated", run.camera, run.rover_T_camera, run.start, run.keyframes, run.map_T_rover
-    )
+        "simulated", run.camera, run.rover_T_camera, run.start, run.keyframes, run.map_T_rover,
+        INDEPENDENT,
+    )  # fmt: skip
 
 
 def costs(arguments: argparse.Namespace) -> list[Cost]:
@@ -252,7 +254,10 @@ def costs(arguments: argparse.Namespace) -> list[Cost]:
 def agreements() -> list[Agreement]:
     """Segments, full and batch on simulated and on real landmarks."""
     kitti = read_landmarks("00s")
-    real = Data("KITTI-00s", kitti.camera, kitti.rover_T_camera, kitti.start, kitti.keyframes, None)
+    real = Data(
+        "KITTI-00s", kitti.camera, kitti.rover_T_camera, kitti.start, kitti.keyframes, None,
+        GraphConfig(),
+    )  # fmt: skip
     return [*agreement(simulated(200)), *agreement(real)]
 
 

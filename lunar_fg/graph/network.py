@@ -70,16 +70,16 @@ class Network:
         known = [start, *motions]
         places = [*known, *(claim.place for claim in claims)]
         bases = [-1 if claim.base is None else claim.base for claim in claims]
-        self._base = np.array([*range(-1, len(motions)), *bases], dtype=np.int64)
-        self._station = np.array(
+        base = np.array([*range(-1, len(motions)), *bases], dtype=np.int64)
+        station = np.array(
             [*range(len(known)), *(claim.station for claim in claims)], dtype=np.int64
         )
-        self._value: FloatArray = np.array([place.xyyaw for place in places])
+        value: FloatArray = np.array([place.xyyaw for place in places])
         #: (C, 3, 3) of the claims: of places in map axes, of motions in those at their end.
         self.covariance: FloatArray = np.array(
             [
                 place.covariance if base < 0 else turned(place.covariance, place.xyyaw[2])
-                for place, base in zip(places, self._base, strict=True)
+                for place, base in zip(places, base, strict=True)
             ]
         )
         self.covariance = 0.5 * (self.covariance + self.covariance.transpose(0, 2, 1))
@@ -90,19 +90,21 @@ class Network:
             roots = np.linalg.cholesky(self.covariance)
         except np.linalg.LinAlgError as error:
             raise EstimationError(f"the fixes cannot be judged ({error})") from error
-        self._root = np.ascontiguousarray(np.linalg.inv(roots))
+        root = np.ascontiguousarray(np.linalg.inv(roots))
+        self._terms = kernels.Terms(base, station, value, root, np.ones(len(base)))
         self._known = len(known)
+        self._claims = self._terms.after(self._known)
         self.covariance = self.covariance[self._known :]
 
     @property
     def station(self) -> IntArray:
         """(C,) of the claims."""
-        return self._station[self._known :]
+        return self._claims.station
 
     @property
     def base(self) -> IntArray:
         """(C,) of the claims, -1 for a place."""
-        return self._base[self._known :]
+        return self._claims.base
 
     def solve(self, weight: FloatArray, begin: FloatArray) -> Path:
         """Least squares over what is known and the claims, each with its weight (C,).
@@ -112,10 +114,7 @@ class Network:
         EstimationError
             It cannot be solved.
         """
-        good, xyyaw, cost = kernels.solve_network(
-            begin, self._base, self._station, self._value, self._root, self._weights(weight),
-            _MOST_ITERATIONS,
-        )  # fmt: skip
+        good, xyyaw, cost = kernels.solve_network(begin, self._weighted(weight), _MOST_ITERATIONS)
         if not good or not np.isfinite(cost):
             raise EstimationError("the fixes cannot be judged (their path has no solution)")
         return Path(xyyaw, cost)
@@ -128,28 +127,25 @@ class Network:
         EstimationError
             There is none.
         """
-        good, covariance = kernels.network_covariance(
-            xyyaw, self._base, self._station, self._value, self._root, self._weights(weight)
-        )
+        good, covariance = kernels.network_covariance(xyyaw, self._weighted(weight))
         if not good:
             raise EstimationError("the fixes cannot be judged (their path has no covariance)")
         return covariance
 
-    def _weights(self, weight: FloatArray) -> FloatArray:
-        return np.concatenate([np.ones(self._known), weight])
+    def _weighted(self, weight: FloatArray) -> kernels.Terms:
+        return self._terms._replace(weight=np.concatenate([np.ones(self._known), weight]))
 
     def terms(self, xyyaw: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Error of each claim on a path (C, 3), and its derivatives (C, 3, 6).
 
         By the station, then by the base.
         """
-        value = self._value[self._known :]
-        off, jacobian = kernels.network_terms(xyyaw, self.base, self.station, value)
+        off, jacobian = kernels.network_terms(xyyaw, self._claims)
         return off, jacobian
 
     def chi_square(self, xyyaw: FloatArray) -> FloatArray:
         """Of each claim on a path, (C,)."""
-        white = np.einsum("cij,cj->ci", self._root[self._known :], self.terms(xyyaw)[0])
+        white = np.einsum("cij,cj->ci", self._claims.root, self.terms(xyyaw)[0])
         return np.asarray((white**2).sum(axis=1))
 
     def innovations(

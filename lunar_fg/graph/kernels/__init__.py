@@ -8,12 +8,18 @@ import numpy as np
 
 from lunar_fg.graph.kernels.gate import distances
 from lunar_fg.graph.kernels.motions import add_motions, moved
-from lunar_fg.graph.kernels.network import network_covariance, network_terms, solve_network
+from lunar_fg.graph.kernels.network import (
+    Terms,
+    network_covariance,
+    network_terms,
+    solve_network,
+)
 from lunar_fg.graph.kernels.projection import LEAST_DEPTH_SHARE
 from lunar_fg.graph.kernels.system import inverse_positive, linearise, stepped, whiteners
 
 __all__ = [
     "LEAST_DEPTH_SHARE",
+    "Terms",
     "add_motions",
     "distances",
     "inverse_positive",
@@ -46,6 +52,7 @@ def warm() -> None:
     noise = np.stack([np.eye(3)] * 2)
     distances(lens, pixels, noise, pixels, noise, none, one, hessian[None])
     place, here = np.zeros((1, 3)), none[:1]
-    solve_network(place, here, here, place, noise[:1], np.ones(1), 1)
-    network_covariance(place, here, here, place, noise[:1], np.ones(1))
-    network_terms(place, here, here, place)
+    terms = Terms(here, here, place, noise[:1], np.ones(1))
+    solve_network(place, terms, 1)
+    network_covariance(place, terms)
+    network_terms(place, terms)

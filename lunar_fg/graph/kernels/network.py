@@ -9,6 +9,8 @@ costs what a band of six costs.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from frontends.jit import kernel, njit
@@ -17,6 +19,33 @@ from frontends.measurements import FloatArray, IntArray
 _LARGEST_DAMPING = 1e8
 #: Rest: chi-square no longer falls by this much, absolute and relative.
 _STILL = 1e-7
+
+
+class Terms(NamedTuple):
+    """What is known and what is claimed, one row each; numba takes it as it is.
+
+    Attributes
+    ----------
+    base, station
+        (C,) poses that a term is about; `base` is -1 for a place.
+    value
+        (C, 3) x, y, yaw.
+    root
+        (C, 3, 3) inverse Cholesky roots of the covariances of the errors.
+    weight
+        (C,) share of its chi-square that counts.
+    """
+
+    base: IntArray
+    station: IntArray
+    value: FloatArray
+    root: FloatArray
+    weight: FloatArray
+
+    def after(self, count: int) -> Terms:
+        """All but the first so many rows."""
+        base, station, value, root, weight = self
+        return Terms(base[count:], station[count:], value[count:], root[count:], weight[count:])
 
 
 @njit
@@ -70,59 +99,46 @@ def _term(
 
 
 @kernel
-def network_terms(
-    poses: FloatArray, base: IntArray, station: IntArray, value: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def network_terms(poses: FloatArray, terms: Terms) -> tuple[FloatArray, FloatArray]:
     """Errors of all terms (C, 3) and derivatives by station and base (C, 3, 6), not whitened."""
-    off, jacobian = np.empty((len(base), 3)), np.empty((len(base), 3, 6))
-    for c in range(len(base)):
-        _term(poses, base[c], station[c], value[c], off[c], jacobian[c])
+    off, jacobian = np.empty((len(terms.base), 3)), np.empty((len(terms.base), 3, 6))
+    for c in range(len(terms.base)):
+        _term(poses, terms.base[c], terms.station[c], terms.value[c], off[c], jacobian[c])
     return off, jacobian
 
 
 @njit
-def _cost(
-    poses: FloatArray,
-    base: IntArray,
-    station: IntArray,
-    value: FloatArray,
-    root: FloatArray,
-    weight: FloatArray,
-) -> float:
+def _cost(poses: FloatArray, terms: Terms) -> float:
     total, off, jacobian = 0.0, np.empty(3), np.empty((3, 6))
-    for c in range(len(base)):
-        if weight[c] > 0.0:
-            _term(poses, base[c], station[c], value[c], off, jacobian)
+    for c in range(len(terms.base)):
+        if terms.weight[c] > 0.0:
+            _term(poses, terms.base[c], terms.station[c], terms.value[c], off, jacobian)
             for i in range(3):
                 white = 0.0
                 for j in range(i + 1):
-                    white += root[c, i, j] * off[j]
-                total += weight[c] * white * white
+                    white += terms.root[c, i, j] * off[j]
+                total += terms.weight[c] * white * white
     return total
 
 
 @njit
-def _first_columns(base: IntArray, station: IntArray, weight: FloatArray, n: int) -> IntArray:
+def _first_columns(terms: Terms, n: int) -> IntArray:
     """Column in which each row of the lower triangle begins, (3n,)."""
     first = np.empty(3 * n, dtype=np.int64)
     for row in range(3 * n):
         first[row] = 3 * (row // 3)
-    for c in range(len(base)):
-        if base[c] >= 0 and weight[c] > 0.0:
-            low, high = min(base[c], station[c]), max(base[c], station[c])
-            for row in range(3 * high, 3 * high + 3):
-                first[row] = min(first[row], 3 * low)
+    for c in range(len(terms.base)):
+        if terms.base[c] >= 0 and terms.weight[c] > 0.0:
+            a, b = terms.base[c], terms.station[c]
+            for row in range(3 * max(a, b), 3 * max(a, b) + 3):
+                first[row] = min(first[row], 3 * min(a, b))
     return first
 
 
 @njit
 def _system(
     poses: FloatArray,
-    base: IntArray,
-    station: IntArray,
-    value: FloatArray,
-    root: FloatArray,
-    weight: FloatArray,
+    terms: Terms,
     damping: float,
     first: IntArray,
     hessian: FloatArray,
@@ -135,23 +151,23 @@ def _system(
     off, white = np.empty(3), np.empty(3)
     jacobian, whitened = np.empty((3, 6)), np.empty((3, 6))
     column = np.empty(6, dtype=np.int64)
-    for c in range(len(base)):
-        if weight[c] <= 0.0:
+    for c in range(len(terms.base)):
+        if terms.weight[c] <= 0.0:
             continue
-        wide = _term(poses, base[c], station[c], value[c], off, jacobian)
+        wide = _term(poses, terms.base[c], terms.station[c], terms.value[c], off, jacobian)
         for i in range(3):
-            column[i], column[3 + i] = 3 * station[c] + i, 3 * base[c] + i
+            column[i], column[3 + i] = 3 * terms.station[c] + i, 3 * terms.base[c] + i
         for i in range(3):
             white[i] = 0.0
             whitened[i] = 0.0
             for j in range(i + 1):
-                white[i] += root[c, i, j] * off[j]
+                white[i] += terms.root[c, i, j] * off[j]
                 for k in range(wide):
-                    whitened[i, k] += root[c, i, j] * jacobian[j, k]
-        held = weight[c] * (1.0 + damping if c < len(poses) else 1.0)
+                    whitened[i, k] += terms.root[c, i, j] * jacobian[j, k]
+        held = terms.weight[c] * (1.0 + damping if c < len(poses) else 1.0)
         for a in range(wide):
             for i in range(3):
-                gradient[column[a]] += weight[c] * whitened[i, a] * white[i]
+                gradient[column[a]] += terms.weight[c] * whitened[i, a] * white[i]
             for b in range(wide):
                 if column[b] <= column[a]:
                     for i in range(3):
@@ -211,35 +227,27 @@ def _moved(poses: FloatArray, step: FloatArray, out: FloatArray) -> None:
 
 
 @kernel
-def solve_network(
-    poses: FloatArray,
-    base: IntArray,
-    station: IntArray,
-    value: FloatArray,
-    root: FloatArray,
-    weight: FloatArray,
-    most: int,
-) -> tuple[bool, FloatArray, float]:
+def solve_network(poses: FloatArray, terms: Terms, most: int) -> tuple[bool, FloatArray, float]:
     """Least squares over all terms of positive weight, in at most `most` steps.
 
-    `poses` (n, 3) is where to begin, `root` (C, 3, 3) the inverse Cholesky roots of the terms'
-    covariances. Returns whether it could be solved, the poses, and their chi-square.
+    `poses` (n, 3) is where to begin. Returns whether it could be solved, the poses, and their
+    chi-square.
     """
     n = len(poses)
-    first = _first_columns(base, station, weight, n)
+    first = _first_columns(terms, n)
     hessian, gradient = np.empty((3 * n, 3 * n)), np.empty(3 * n)
     here, there = poses.copy(), np.empty((n, 3))
-    cost = _cost(here, base, station, value, root, weight)
+    cost = _cost(here, terms)
     damping = 0.0
     for _ in range(most):
-        _system(here, base, station, value, root, weight, damping, first, hessian, gradient)
+        _system(here, terms, damping, first, hessian, gradient)
         if not _factorise(hessian, first):
             return False, here, cost
         for i in range(3 * n):
             gradient[i] = -gradient[i]
         _substitute(hessian, first, gradient, 0)
         _moved(here, gradient, there)
-        new = _cost(there, base, station, value, root, weight)
+        new = _cost(there, terms)
         if new <= cost * (1.0 + 1e-12):
             gain, cost = cost - new, new
             here, there = there, here
@@ -256,19 +264,12 @@ def solve_network(
 
 
 @kernel
-def network_covariance(
-    poses: FloatArray,
-    base: IntArray,
-    station: IntArray,
-    value: FloatArray,
-    root: FloatArray,
-    weight: FloatArray,
-) -> tuple[bool, FloatArray]:
+def network_covariance(poses: FloatArray, terms: Terms) -> tuple[bool, FloatArray]:
     """Joint covariance (3n, 3n) of all poses, and whether there is one."""
     n = len(poses)
-    first = _first_columns(base, station, weight, n)
+    first = _first_columns(terms, n)
     hessian, gradient = np.empty((3 * n, 3 * n)), np.empty(3 * n)
-    _system(poses, base, station, value, root, weight, 0.0, first, hessian, gradient)
+    _system(poses, terms, 0.0, first, hessian, gradient)
     result = np.zeros((3 * n, 3 * n))
     if not _factorise(hessian, first):
         return False, result
