@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
-from annotated_types import Ge, Gt, Le, Lt
+from annotated_types import Ge, Gt, Lt
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
@@ -22,6 +22,10 @@ from frontends.measurements import RelativePose, StereoObservations, Verdict
 from frontends.reprojection import TwoViewProblem
 
 FloatArray = NDArray[np.float64]
+
+#: Between the errors of any two landmarks: they look at the same rocks under the same light
+#: from the same side.
+LANDMARK_CORRELATION = 0.005
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,9 +46,6 @@ class RelativeConfig:
         Scale of the Cauchy kernel, in sigmas.
     false_alarms
         Wrong motions accepted, a frame that shows none.
-    landmark_correlation
-        Between the errors of any two landmarks: they look at the same rocks under the same
-        light from the same side. N landmarks count for N / (1 + correlation N).
     """
 
     __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
@@ -55,7 +56,6 @@ class RelativeConfig:
     min_inliers: Annotated[int, Ge(3)] = 12
     kernel_sigma: Annotated[float, Gt(0)] = 2.0
     false_alarms: Annotated[float, Gt(0), Lt(1)] = 1e-3
-    landmark_correlation: Annotated[float, Ge(0), Le(1)] = 0.005
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,14 +120,21 @@ class RelativePositioning:
     seed
         Of the random sampling. The draws of a frame depend on the seed and the number
         of correspondences only, never on what came before.
+    landmark_correlation
+        Between the errors of any two landmarks; N count for N / (1 + correlation N).
     """
 
     def __init__(
-        self, camera: StereoCamera, config: RelativeConfig | None = None, seed: int = 0
+        self,
+        camera: StereoCamera,
+        config: RelativeConfig | None = None,
+        seed: int = 0,
+        landmark_correlation: float = LANDMARK_CORRELATION,
     ) -> None:
         self.camera = camera
         self.config = config or RelativeConfig()
         self.seed = seed
+        self._correlation = landmark_correlation
         self._needed = max(3, self.config.min_inliers)
         self._gate = float(chi2_distribution.ppf(self.config.inlier_probability, df=3))
 
@@ -264,7 +271,7 @@ class RelativePositioning:
             return _refuse(prediction, count, "the landmarks do not fix all six motions")
         # right perturbation of the inverse: Ad of b_T_a, the sign squares away
         turn = adjoint(b_T_a)
-        shared = 1.0 + self.config.landmark_correlation * float(inlier.sum())
+        shared = 1.0 + self._correlation * float(inlier.sum())
         covariance = shared * turn @ covariance_b_T_a @ turn.T
         return RelativePose(
             inverse(b_T_a),

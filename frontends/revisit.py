@@ -23,7 +23,12 @@ from frontends.geometry import inverse, transform_points
 from frontends.matching import Matches, SearchWindows, match_in_windows
 from frontends.measurements import RelativePose, StereoObservations
 from frontends.rectification import observe
-from frontends.relative import MotionPrediction, RelativeConfig, RelativePositioning
+from frontends.relative import (
+    LANDMARK_CORRELATION,
+    MotionPrediction,
+    RelativeConfig,
+    RelativePositioning,
+)
 from frontends.stereo import StereoFeatures
 
 FloatArray = NDArray[np.float64]
@@ -169,13 +174,19 @@ class Revisiting:
         Of relative positioning; its `false_alarms` is that of a closed loop.
     seed
         Of the random sampling.
+    landmark_correlation
+        As for `RelativePositioning`.
     """
 
     def __init__(
-        self, camera: StereoCamera, config: RelativeConfig | None = None, seed: int = 0
+        self,
+        camera: StereoCamera,
+        config: RelativeConfig | None = None,
+        seed: int = 0,
+        landmark_correlation: float = LANDMARK_CORRELATION,
     ) -> None:
         self.camera = camera
-        self._positioning = RelativePositioning(camera, config, seed)
+        self._positioning = RelativePositioning(camera, config, seed, landmark_correlation)
 
     def measure(
         self,

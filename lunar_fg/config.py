@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from frontends.absolute import AbsoluteConfig
 from frontends.disparity_check import DisparityCheckConfig
@@ -20,6 +20,8 @@ from lunar_fg.loop_closing import LoopClosingConfig
 from lunar_fg.motion_config import MotionConfig
 from lunar_fg.orbital_files import MapConfig
 from lunar_fg.route import RouteConfig
+
+_CORRELATION = "landmark_correlation"
 
 
 class Config(BaseModel):
@@ -49,6 +51,22 @@ class Config(BaseModel):
     absolute: AbsoluteConfig = Field(default_factory=AbsoluteConfig)
     dense: DenseStereoConfig = Field(default_factory=DenseStereoConfig)
     loop_closing: LoopClosingConfig = Field(default_factory=LoopClosingConfig)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _correlation_in_one_place(cls, data: object) -> object:
+        """Take `relative.landmark_correlation`, where files had it too, as the graph's."""
+        if not isinstance(data, dict) or not isinstance(data.get("relative"), dict):
+            return data
+        relative, graph = dict(data["relative"]), data.get("graph") or {}
+        if _CORRELATION not in relative or not isinstance(graph, dict):
+            return data
+        value = relative.pop(_CORRELATION)
+        if graph.get(_CORRELATION, value) != value:
+            raise ValueError(
+                f"relative.{_CORRELATION} is graph.{_CORRELATION} now: leave the former out"
+            )
+        return {**data, "relative": relative, "graph": {**graph, _CORRELATION: value}}
 
 
 def read_config(path: Path) -> Config:

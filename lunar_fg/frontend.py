@@ -57,7 +57,9 @@ class Frontend:
         detector: FeatureDetector | None = None,
     ) -> None:
         self.perception = StereoPerception(camera, config.stereo, detector)
-        self.positioning = RelativePositioning(camera, config.relative, config.seed)
+        self.positioning = RelativePositioning(
+            camera, config.relative, config.seed, config.graph.landmark_correlation
+        )
         self.records: list[FrameRecord] = []
         #: What describes the newest keyframe's landmarks, in their order.
         self.features: StereoFeatures | None = None

@@ -28,7 +28,7 @@ from frontends.camera import StereoCamera
 from frontends.errors import EstimationError
 from frontends.geometry import inverse
 from frontends.measurements import Estimate
-from frontends.relative import MotionPrediction, RelativeConfig
+from frontends.relative import LANDMARK_CORRELATION, MotionPrediction, RelativeConfig
 from frontends.revisit import Place, Revisiting
 from frontends.stereo import StereoFeatures
 from lunar_fg.graph.incremental import IncrementalSmoother
@@ -111,6 +111,8 @@ class LoopClosing:
         Settings of relative positioning.
     seed
         Of its random sampling.
+    landmark_correlation
+        As for `RelativePositioning`.
     """
 
     def __init__(
@@ -120,12 +122,13 @@ class LoopClosing:
         config: LoopClosingConfig | None = None,
         relative: RelativeConfig | None = None,
         seed: int = 0,
+        landmark_correlation: float = LANDMARK_CORRELATION,
     ) -> None:
         self.config = config or LoopClosingConfig()
         strict = replace(relative or RelativeConfig(), false_alarms=self.config.false_alarms)
         self._camera = camera
         self._rover_T_camera = rover_T_camera
-        self._revisiting = Revisiting(camera, strict, seed)
+        self._revisiting = Revisiting(camera, strict, seed, landmark_correlation)
         self._view_change = math.radians(self.config.view_change_deg)
         self._places: list[Place] = []
         self._bytes = 0

@@ -96,7 +96,7 @@ class Navigator:
         if self.config.loop_closing.use:
             self.loops = LoopClosing(
                 camera, self.rover_T_camera, self.config.loop_closing, self.config.relative,
-                self.config.seed,
+                self.config.seed, self.config.graph.landmark_correlation,
             )  # fmt: skip
         self.localisation = None if orbital is None else Localisation(
             camera, self.rover_T_camera, orbital,

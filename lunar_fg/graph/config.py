@@ -6,6 +6,8 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from frontends.relative import LANDMARK_CORRELATION
+
 
 class GraphConfig(BaseModel):
     """How measurements become a trajectory; every value is a probability, a sigma or a count.
@@ -22,9 +24,9 @@ class GraphConfig(BaseModel):
     robust_threshold_sigma
         Huber's threshold on a landmark's whitened residual (3 values), sigmas.
     landmark_correlation
-        Between the errors of any two landmarks of a segment: they look at the same rocks under
-        the same light from the same side, so that ever more of them do not average the error
-        out. N landmarks count for N / (1 + correlation N).
+        Between the errors of any two landmarks of a segment or of a relative pose: they look at
+        the same rocks under the same light from the same side, so that ever more of them do not
+        average the error out. N landmarks count for N / (1 + correlation N).
     disparity_sigma_px
         Error of all disparities of a segment alike that calibration and matching leave.
     scale_sigma
@@ -51,7 +53,7 @@ class GraphConfig(BaseModel):
     segment_keyframes: int = Field(default=10, ge=1, le=100)
     gate_probability: float = Field(default=0.999, gt=0.5, lt=1.0)
     robust_threshold_sigma: float = Field(default=2.0, ge=0.5, le=100.0)
-    landmark_correlation: float = Field(default=0.005, ge=0.0, le=1.0)
+    landmark_correlation: float = Field(default=LANDMARK_CORRELATION, ge=0.0, le=1.0)
     disparity_sigma_px: float = Field(default=0.05, ge=0.0, le=10.0)
     scale_sigma: float = Field(default=0.005, ge=0.0, le=1.0)
     min_tracks: int = Field(default=8, ge=3)

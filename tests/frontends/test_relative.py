@@ -11,6 +11,7 @@ from synthetic import CAMERA, PointCloud
 from frontends.geometry import inverse, se3_exp, se3_log, transform_points
 from frontends.rectification import observe
 from frontends.relative import (
+    LANDMARK_CORRELATION,
     MotionPrediction,
     RelativeConfig,
     RelativePositioning,
@@ -37,8 +38,8 @@ def two_views(seed, wrong_share=0.0, a_T_b=A_T_B, **cloud):
     return a, b, wrong
 
 
-def estimate(a, b, seed=0, config=None, prediction=NOTHING_KNOWN):
-    positioning = RelativePositioning(CAMERA, config, seed)
+def estimate(a, b, seed=0, config=None, prediction=NOTHING_KNOWN, correlation=LANDMARK_CORRELATION):
+    positioning = RelativePositioning(CAMERA, config, seed, correlation)
     return positioning.estimate(a.points_cam, a.points_covariance, b, prediction)
 
 
@@ -82,8 +83,10 @@ def test_the_motion_is_found_among_wrong_correspondences(seed, wrong_share):
 
 def mean_nees(seeds, landmark_correlation=0.0, **kwargs):
     """Of simulated landmarks, which err independently of each other."""
-    config = RelativeConfig(landmark_correlation=landmark_correlation)
-    found = (estimate(*two_views(seed, **kwargs)[:2], seed, config) for seed in seeds)
+    found = (
+        estimate(*two_views(seed, **kwargs)[:2], seed, correlation=landmark_correlation)
+        for seed in seeds
+    )
     return np.mean([nees(motion) for motion in found])
 
 
