@@ -14,6 +14,7 @@ from frontends.measurements import Estimate, StartPrior, StereoFrame, UnusableFr
 from frontends.orbital import OrbitalMap
 from frontends.rectification import RectificationError
 from frontends.revisit import Place
+from lunar_fg.blas import one_blas_thread
 from lunar_fg.checkpoint import Checkpoint
 from lunar_fg.config import Config
 from lunar_fg.frontend import Frontend
@@ -114,7 +115,7 @@ class Navigator:
             nothing that was estimated is lost.
         """
         self._order.check(frame)
-        with self.stopwatch.frame(), self._journal.one_entry():
+        with one_blas_thread(), self.stopwatch.frame(), self._journal.one_entry():
             keyframe = self.keyframe = self._frontend.measure(frame)
             with self.stopwatch.stage("graph"):
                 estimate = self._smoother.add(keyframe)

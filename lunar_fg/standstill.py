@@ -26,6 +26,7 @@ FloatArray = NDArray[np.float64]
 
 #: A rover that stands still is taken for moving once in so many frames.
 _FALSE_ALARM = 0.01
+_GATE = float(chi2.isf(_FALSE_ALARM, 6))
 #: A motion must be known at least this well (1-sigma of its worst direction) to be called zero.
 _LARGEST_SIGMA_RAD = 2e-3
 _LARGEST_SIGMA_M = 0.01
@@ -62,7 +63,7 @@ def zero_motion(relative: RelativePose) -> RelativePose | None:
         and np.linalg.norm(motion[_TRANS]) + _SURELY_SIGMAS * sigma_m < STILL_M
     )
     distance2 = motion @ np.linalg.solve(relative.covariance, motion)
-    if not small and distance2 > chi2.isf(_FALSE_ALARM, 6):
+    if not small and distance2 > _GATE:
         return None
     return replace(relative, a_T_b=np.eye(4), covariance=floored(np.zeros((6, 6))))
 

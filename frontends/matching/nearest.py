@@ -84,35 +84,37 @@ def match_descriptors(
     if len(query) == 0 or len(train) < 2:
         empty = np.zeros(0, dtype=np.int64)
         return Matches(empty, empty, np.zeros(0, dtype=np.float32), len(query))
-    search = _two_nearest_by_tree if method == "kd-tree" else _two_nearest_by_product
-    nearest, best, second = search(query, train)
+    search = _by_tree if method == "kd-tree" else _by_product
+    nearest, best, second, back = search(query, train)
     keep = best <= ratio**2 * second
-    if mutual and len(query) > 1:
-        back, _, _ = search(train, query)
+    if mutual:
         keep &= back[nearest] == np.arange(len(query))
     index = np.flatnonzero(keep)
     return Matches(index, nearest[index], best[index].astype(np.float32), len(query))
 
 
-def _two_nearest_by_tree(
-    query: Descriptors, train: Descriptors
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+#: Nearest of each query, squared distances to it and to the second nearest, and the nearest
+#: query of each train descriptor.
+_Neighbours = tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]
+
+
+def _by_tree(query: Descriptors, train: Descriptors) -> _Neighbours:
     found = cKDTree(train).query(query, k=2)
     distance, index = np.asarray(found[0]), np.asarray(found[1])
-    return np.asarray(index[:, 0], dtype=np.int64), distance[:, 0] ** 2, distance[:, 1] ** 2
+    back = np.asarray(cKDTree(query).query(train, k=1)[1], dtype=np.int64)
+    nearest = np.asarray(index[:, 0], dtype=np.int64)
+    return nearest, distance[:, 0] ** 2, distance[:, 1] ** 2, back
 
 
-def _two_nearest_by_product(
-    query: Descriptors, train: Descriptors
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    distance2 = (
-        np.einsum("nd,nd->n", query, query)[:, None]
-        + np.einsum("nd,nd->n", train, train)[None, :]
-        - 2.0 * query @ train.T
-    )
+def _by_product(query: Descriptors, train: Descriptors) -> _Neighbours:
+    distance2 = query @ train.T
+    distance2 *= -2.0
+    distance2 += np.einsum("nd,nd->n", query, query)[:, None]
+    distance2 += np.einsum("nd,nd->n", train, train)
+    back = distance2.argmin(axis=0)
     rows = np.arange(len(query))
     nearest = distance2.argmin(axis=1)
     best = distance2[rows, nearest].astype(np.float64)
     distance2[rows, nearest] = np.inf
     second = distance2.min(axis=1).astype(np.float64)
-    return nearest.astype(np.int64), np.maximum(best, 0.0), np.maximum(second, 0.0)
+    return nearest, np.maximum(best, 0.0), np.maximum(second, 0.0), back
