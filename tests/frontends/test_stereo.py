@@ -296,3 +296,10 @@ def test_pairs_of_two_different_scenes_are_not_landmarks():
     perception = StereoPerception(scene.camera)
     perception.perceive(here)
     assert len(perception.perceive(replace(here, right=there.right))) < 20
+
+
+def test_two_threads_see_what_one_sees():
+    frame = Scene().frame(MOUNT)
+    one, two = (perceive(frame, StereoConfig(threads=n))[0] for n in (1, 2))
+    np.testing.assert_array_equal(one.observations.points_cam, two.observations.points_cam)
+    np.testing.assert_array_equal(one.descriptors, two.descriptors)
