@@ -25,7 +25,7 @@ from lunar_fg.graph.ledger import (
     MapMeasurement,
     Ruling,
 )
-from lunar_fg.graph.network import Claim
+from lunar_fg.graph.network import NO_YAW_SIGMA, Claim
 from lunar_fg.graph.planar import (
     Planar,
     carried,
@@ -62,9 +62,16 @@ class FixGraph(Protocol):
         ...
 
     def exchange(
-        self, entering: Mapping[str, gtsam.NonlinearFactor], leaving: Collection[str], frame: int
+        self,
+        entering: Mapping[str, gtsam.NonlinearFactor],
+        leaving: Collection[str],
+        frame: int,
+        places: Mapping[int, FloatArray],
     ) -> None:
-        """Put named factors in and take others out."""
+        """Put named factors in and take others out.
+
+        `places` are x, y, yaw of all keyframes that are fixed then, by ordinal.
+        """
         ...
 
 
@@ -204,7 +211,7 @@ class FixJudge:
         reason = f"{sigmas:.1f} sigma from the prediction (gate {gate:.1f})"
         if verdict is Verdict.ACCEPTED:
             factor = height_factor(case.anchor, height.z_m, height.sigma_m, pose)
-            self._graph.exchange({name: factor}, (), height.frame)
+            self._graph.exchange({name: factor}, (), height.frame, self._places({}))
             case.chosen = 0
         case.history.append(Ruling(now, verdict, case.chosen, sigmas, reason, self._tick()))
         self._cases[name] = case
@@ -330,7 +337,8 @@ class FixJudge:
             for case in changing:
                 self._exchange(case, chosen[id(case)], entering, leaving)
             if changing:
-                self._graph.exchange(entering, leaving, changing[-1].measurement.frame)
+                frame = changing[-1].measurement.frame
+                self._graph.exchange(entering, leaving, frame, self._places(chosen))
         except (EstimationError, InputError) as error:
             failure, changing = str(error), []
         changed = []
@@ -342,6 +350,18 @@ class FixJudge:
         if new is not None:
             new.history.append(self._ruling(new, now, failure, gated))
         return changed
+
+    def _places(self, chosen: Mapping[int, Choice]) -> dict[int, FloatArray]:
+        """Where fixes with a yaw hold keyframes once these verdicts are carried out."""
+        believed = {}
+        for case in self._cases.values():
+            choice = chosen.get(id(case), case.chosen)
+            if choice is None or case.base is not None or not case.places:
+                continue
+            place = case.places[choice]
+            if place.covariance[2, 2] < NO_YAW_SIGMA**2:
+                believed[case.ordinal] = place.xyyaw
+        return believed
 
     def _exchange(
         self,

@@ -91,9 +91,7 @@ class GuardedIsam:
     def _rebuild(self, values: gtsam.Values) -> None:
         isam = self._fresh()
         self._snapshots.clear()
-        if self._holes:
-            self._renumber(set())
-            self._factors, self._holes = without(self._factors, set()), False
+        self._fill_holes()
         try:
             if self._factors.size():
                 isam.update(self._factors, values)
@@ -106,6 +104,11 @@ class GuardedIsam:
             self._rebuild(values)
             return
         self._isam = isam
+
+    def _fill_holes(self) -> None:
+        if self._holes:
+            self._renumber(set())
+            self._factors, self._holes = without(self._factors, set()), False
 
     def update(
         self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, frame: int
@@ -166,6 +169,42 @@ class GuardedIsam:
         if entering:
             books = gtsam.NonlinearFactorGraph(self._factors)
             self._snapshots.keep(Snapshot(before, books, dict(self._named)))
+        self._rename(entering, leaving)
+
+    def exchange_from(
+        self,
+        values: gtsam.Values,
+        entering: Mapping[str, gtsam.NonlinearFactor],
+        leaving: Collection[str],
+        frame: int,
+    ) -> set[int]:
+        """`exchange`, with all variables anew from `values`: for what no linear step reaches.
+
+        Returns
+        -------
+        set of int
+            Keys of landmarks that had to be taken out.
+
+        Raises
+        ------
+        EstimationError
+            As for `exchange`.
+        """
+        before = self._factors, dict(self._named), self._holes
+        self._factors = gtsam.NonlinearFactorGraph(self._factors)
+        self._rename(entering, leaving)
+        try:
+            return self._settle(values)
+        except EstimationError as error:
+            self._factors, self._named, self._holes = before
+            raise EstimationError(
+                f"keyframe {frame}: the map measurement is left out ({error})"
+            ) from error
+
+    def _rename(
+        self, entering: Mapping[str, gtsam.NonlinearFactor], leaving: Collection[str]
+    ) -> None:
+        """Exchange named factors in the books."""
         for name in leaving:
             self._factors.remove(self._named.pop(name))
             self._holes = True
@@ -319,6 +358,10 @@ class GuardedIsam:
             f"({_first_line(error)})"
         ) from error
 
+    def values(self) -> gtsam.Values:
+        """Return the current estimate of all variables."""
+        return self._isam.calculateEstimate()
+
     def pose(self, key: int) -> FloatArray:
         """Return the current estimate, (4, 4)."""
         return np.asarray(self._isam.calculateEstimatePose3(key).matrix())
@@ -373,19 +416,19 @@ class GuardedIsam:
         """
         if not self._factors.size():
             return set()
-        if self._holes:
-            self._rebuild(self._isam.calculateEstimate())
-        end = descend(
-            self._factors, self._isam.calculateEstimate(), _MOST_SETTLING_STEPS, self._unsound
-        )
-        isam, factors, initial, named = self._isam, self._factors, self._initial, dict(self._named)
-        self._renumber(end.set_aside)
-        self._factors, self._initial = end.graph, end.values
+        return self._settle(self._isam.calculateEstimate())
+
+    def _settle(self, values: gtsam.Values) -> set[int]:
+        """`settle` from other values."""
+        before = self._isam, self._factors, self._initial, dict(self._named), self._holes
         try:
+            self._fill_holes()
+            end = descend(self._factors, values, _MOST_SETTLING_STEPS, self._unsound)
+            self._renumber(end.set_aside)
+            self._factors, self._initial = end.graph, end.values
             self._rebuild(self._initial)
         except EstimationError:
-            self._isam, self._factors, self._initial = isam, factors, initial
-            self._named = named
+            self._isam, self._factors, self._initial, self._named, self._holes = before
             raise
         return end.set_aside
 

@@ -161,6 +161,12 @@ class WholeGraph:
         """Keys of the landmarks that may be seen again."""
         return [landmark_key(track) for track in self._known]
 
+    def first_seen(self) -> dict[int, int]:
+        """Ordinal of the first keyframe that saw each landmark, by key."""
+        table = np.concatenate([np.empty((0, 2), np.int64), *(rows for rows, _ in self._sighted)])
+        keys, at = np.unique(table[:, 0], return_index=True)
+        return dict(zip(keys.tolist(), table[at, 1].tolist(), strict=True))
+
     def unsound(self, values: gtsam.Values, latest: int | None = None) -> set[int]:
         """Landmarks that lie behind a camera that saw them, or too far out to have a depth.
 

@@ -17,7 +17,7 @@ from lunar_fg.graph import kernels
 from lunar_fg.graph.planar import Planar, composed, turned
 
 #: With a larger sigma, rad, a yaw is as good as not measured, and tells nothing of x and y.
-_NO_YAW_SIGMA = 0.5
+NO_YAW_SIGMA = 0.5
 _NO_YAW_VARIANCE = 1e6
 _REST_FLOOR = 1e-9
 _MOST_ITERATIONS = 100
@@ -83,7 +83,7 @@ class Network:
             ]
         )
         self.covariance = 0.5 * (self.covariance + self.covariance.transpose(0, 2, 1))
-        loose = self.covariance[:, 2, 2] > _NO_YAW_SIGMA**2
+        loose = self.covariance[:, 2, 2] > NO_YAW_SIGMA**2
         self.covariance[loose, 2, :2] = self.covariance[loose, :2, 2] = 0.0
         self.covariance[loose, 2, 2] = _NO_YAW_VARIANCE
         try:

@@ -201,9 +201,13 @@ class SegmentGraph:
         return self._chain.between(first, second)
 
     def exchange(
-        self, entering: Mapping[str, gtsam.NonlinearFactor], leaving: Collection[str], frame: int
+        self,
+        entering: Mapping[str, gtsam.NonlinearFactor],
+        leaving: Collection[str],
+        frame: int,
+        _: Mapping[int, FloatArray],
     ) -> None:
-        """See `GuardedIsam.exchange`."""
+        """See `FixGraph.exchange`."""
         self._isam.exchange(entering, leaving, frame)
         self._boundary = None
 
