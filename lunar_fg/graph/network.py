@@ -23,6 +23,13 @@ _REST_FLOOR = 1e-9
 _MOST_ITERATIONS = 100
 
 
+def squared(off: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Squared Mahalanobis lengths (C,) of vectors (C, 3) with covariances (C, 3, 3)."""
+    return np.asarray(
+        np.einsum("ci,ci->c", off, np.linalg.solve(covariance, off[..., None])[..., 0])
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class Claim:
     """A place of a station in map axes; or, with `base`, its motion from that earlier station."""
@@ -150,8 +157,8 @@ class Network:
 
     def innovations(
         self, xyyaw: FloatArray, covariance: FloatArray, believed: IntArray
-    ) -> FloatArray:
-        """Squared Mahalanobis distance of each claim from what all but its rival say, (C,).
+    ) -> tuple[FloatArray, FloatArray]:
+        """How far each claim is from what all but its rival say: (C, 3) and covariance (C, 3, 3).
 
         Parameters
         ----------
@@ -176,9 +183,13 @@ class Network:
             grown = reach @ np.linalg.solve(rest, reach.transpose(0, 2, 1))
             residual[some] += shift
             spread[some] += grown
-        total = spread + self.covariance
-        solved = np.linalg.solve(total, residual[..., None])[..., 0]
-        return np.asarray(np.einsum("ci,ci->c", residual, solved))
+        return -residual, spread + self.covariance
+
+    def distances(
+        self, xyyaw: FloatArray, covariance: FloatArray, believed: IntArray
+    ) -> FloatArray:
+        """Squared Mahalanobis distances of the `innovations`, (C,)."""
+        return squared(*self.innovations(xyyaw, covariance, believed))
 
     def _columns(self) -> IntArray:
         """(C, 6): of the station, then of the base (for a place those of station 0)."""

@@ -2,7 +2,8 @@
 
 A repetitive terrain, or a map that is shifted, makes false fixes that are all off by the same
 vector. Counted one by one they would outvote the path; so the refused ones that one offset
-explains cost one barrier together, and the path decides which of two stories is true.
+explains cost one barrier together, and the path decides which of two stories is true. That they
+agree counts for what it tells: nothing where the path itself is as loose as they are apart.
 """
 
 from __future__ import annotations
@@ -40,8 +41,10 @@ class Refused:
     covariance: FloatArray
 
 
-def refused_cost(refused: Refused, covariance: FloatArray, barrier: float) -> float:
-    """What all refused groups cost together.
+def stories(
+    refused: Refused, covariance: FloatArray, barrier: float
+) -> tuple[float, list[IntArray]]:
+    """What all refused groups cost together, and the stories of two or more that are told.
 
     Parameters
     ----------
@@ -51,7 +54,13 @@ def refused_cost(refused: Refused, covariance: FloatArray, barrier: float) -> fl
         (3n, 3n) of the stations, map axes, without the refused ones.
     barrier
         What one independent error costs.
+
+    Returns
+    -------
+    tuple
+        The cost, and of each story the rows of its members.
     """
+    told: list[IntArray] = []
     left = np.ones(len(refused.group), dtype=bool)
     total = 0.0
     n = len(covariance) // 3
@@ -63,17 +72,20 @@ def refused_cost(refused: Refused, covariance: FloatArray, barrier: float) -> fl
         members = _largest(agree & left[:, None] & left[None], refused.group)
         while len(members) > 1:
             cost = barrier + _fit(
-                refused.off[members], joint[np.ix_(members, np.arange(3), members)]
+                refused.off[members],
+                joint[np.ix_(members, np.arange(3), members)],
+                refused.covariance[members],
             )
             if cost < barrier * len(members):
                 break
             cost = np.inf
             members = members[:-1]
         if len(members) < 2:
-            return total + barrier * len(np.unique(refused.group[left]))
+            break
+        told.append(members)
         total += cost
         left &= ~np.isin(refused.group, refused.group[members])
-    return total
+    return total + barrier * len(np.unique(refused.group[left])), told
 
 
 def _agreement(refused: Refused, joint: FloatArray) -> FloatArray:
@@ -102,10 +114,16 @@ def _largest(agree: NDArray[np.bool_], group: IntArray) -> IntArray:
     return best
 
 
-def _fit(off: FloatArray, joint: FloatArray) -> float:
-    """Chi-square of offsets (m, 3) that are one unknown vector plus noise."""
+def _fit(off: FloatArray, joint: FloatArray, noise: FloatArray) -> float:
+    """What offsets (m, 3) cost that are one unknown vector plus noise.
+
+    Chi-square, and how much looser than its own noise each but the first is predicted: places
+    that a loose path brings together agree by chance.
+    """
     m = len(off)
     covariance = joint.reshape(3 * m, 3 * m) + np.kron(
         np.ones((m, m)), np.diag(np.square(_OFFSET_SIGMAS))
     )
-    return float(off.ravel() @ np.linalg.solve(covariance, off.ravel()))
+    loose = np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(covariance[:3, :3])[1]
+    loose -= np.linalg.slogdet(noise[1:])[1].sum()
+    return float(off.ravel() @ np.linalg.solve(covariance, off.ravel()) + loose)

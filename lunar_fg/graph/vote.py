@@ -11,7 +11,8 @@ by graduated non-convexity (Yang et al. 2020), then by single changes that still
 The barrier is the gate's: a claim that stands alone is believed if and only if it passes the
 chi-square gate. What was believed until now, and what gates one after another would believe,
 are improved in the same way; of the three the cheapest is taken, where false ones that agree
-with each other count once (`stories`).
+with each other count once (`stories`). No single change leads from one such story to another:
+each that was refused is believed in turn, and given what is believed but fits it better.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ from itertools import pairwise
 import numpy as np
 
 from frontends.measurements import FloatArray, IntArray
-from lunar_fg.graph.network import Claim, Network
+from lunar_fg.graph.network import Claim, Network, squared
 from lunar_fg.graph.planar import Planar, carried, mahalanobis_squared, updated
-from lunar_fg.graph.stories import Refused, refused_cost
+from lunar_fg.graph.stories import Refused, stories
 
 _MOST_CHANGES_EACH = 3
 #: Of the barrier between chi-square and truncated cost, a step (Yang et al. 2020).
@@ -33,6 +34,9 @@ _GRADUATION = 1.4
 _MOST_GRADUATIONS = 100
 
 Choice = int | None
+#: How often what was refused may become what is believed.
+_MOST_TURNS = 3
+_MOST_DIVISIONS = 5
 #: No claim of a group is true.
 NONE = -1
 
@@ -96,7 +100,20 @@ class _Solved:
     #: Chi-square of what is known and of what is believed; `cost` has the barriers too.
     fit: float
     cost: float
+    #: Of each claim from what all others say, (C, 3) and (C, 3, 3); squared, by group.
+    off: FloatArray
+    spread: FloatArray
     distance: tuple[FloatArray, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """Verdicts with their cost, and the refused claims that tell a story, for each story."""
+
+    chosen: tuple[Choice, ...]
+    solved: _Solved
+    cost: float
+    stories: tuple[IntArray, ...]
 
 
 class Vote:
@@ -129,17 +146,67 @@ class Vote:
     def decide(self, incumbent: Sequence[Choice]) -> Outcome:
         """Judge all groups; `incumbent` is what was believed until now."""
         kept = [g.allowed(choice) for g, choice in zip(self._groups, incumbent, strict=True)]
-        best, seen = self._improved(kept), set()
-        seen.add(best.chosen)
+        best = self._improved(kept)
+        seen = {best.chosen}
         for start in (self._graduated(), self._gated()):
-            if tuple(start) in seen:
-                continue
-            other = self._improved(start)
-            seen.add(other.chosen)
-            # The incumbent stays where nothing is better by more than rounding.
-            if other.cost < best.cost - 1e-6:
-                best = other
-        return best
+            if tuple(start) not in seen:
+                best = _cheaper(best, self._improved(start))
+                seen |= {tuple(start), best.chosen}
+        for _ in range(_MOST_TURNS):
+            before = best
+            for story in before.stories:
+                for start in (self._divided(before, story), self._turned(before, story)):
+                    if tuple(start) not in seen:
+                        best = _cheaper(best, self._found(start))
+                        seen.add(tuple(start))
+            if best is before:
+                break
+        return Outcome(best.chosen, best.solved.distance, best.cost)
+
+    def _turned(self, found: _Found, story: IntArray) -> list[Choice]:
+        """Believe a refused story, and make one of what contradicts it."""
+        chosen = [group.allowed(None) for group in self._groups]
+        for claim in story.tolist():
+            g = int(self._group[claim])
+            chosen[g] = self._groups[g].allowed(claim - int(self._first[g]))
+        turned = self._found(chosen)
+        distance = squared(turned.solved.off, turned.solved.spread)
+        against = self._claims(found.chosen)
+        against = against[distance[against] > self._barrier]
+        return self._divided(turned, against) if len(against) else chosen
+
+    def _divided(self, found: _Found, story: IntArray) -> list[Choice]:
+        """Divide all places between the path and a story, by what each is nearer to.
+
+        At first what may belong to either is left out: such places would hold each other in.
+        """
+        chosen, solved, undecided = list(found.chosen), found.solved, self._barrier
+        for _ in range(_MOST_DIVISIONS):
+            information = np.linalg.inv(solved.spread[story])
+            covariance = np.linalg.inv(information.sum(axis=0))
+            offset = covariance @ np.einsum("cij,cj->i", information, solved.off[story])
+            by_path = squared(solved.off, solved.spread)
+            by_story = squared(solved.off - offset, solved.spread + covariance)
+            by_story[self._network.base >= 0] = np.inf
+            before = list(chosen)
+            told = []
+            for g, (a, b) in enumerate(pairwise(self._first.tolist())):
+                if self._groups[g].forced is not None or a == b:
+                    continue
+                nearest, teller = a + int(by_path[a:b].argmin()), a + int(by_story[a:b].argmin())
+                if by_path[nearest] <= min(self._barrier, by_story[teller]) and (
+                    by_story[teller] >= undecided
+                ):
+                    chosen[g] = nearest - a
+                    continue
+                chosen[g] = None
+                if by_story[teller] <= self._barrier:
+                    told.append(teller)
+            if chosen == before or not told:
+                break
+            story, undecided = np.array(told, dtype=np.int64), 0.0
+            solved = self._solve(chosen, solved.xyyaw)
+        return chosen
 
     def _gated(self) -> list[Choice]:
         """Believe what passes the gate, one station after the other from the start."""
@@ -189,7 +256,7 @@ class Vote:
                 least[g], chosen[g] = float(square[i]), i - int(self._first[g])
         return chosen
 
-    def _improved(self, chosen: list[Choice]) -> Outcome:
+    def _improved(self, chosen: list[Choice]) -> _Found:
         """Change one verdict at a time while that lowers the cost."""
         solved = self._solve(chosen, self._network.dead_reckoned)
         for _ in range(_MOST_CHANGES_EACH * max(len(chosen), 1)):
@@ -203,24 +270,26 @@ class Vote:
             if after.cost >= solved.cost:
                 break
             chosen, solved = changed, after
-        return Outcome(tuple(chosen), solved.distance, self._cost(chosen, solved))
+        return self._found(chosen, solved)
 
-    def _cost(self, chosen: Sequence[Choice], solved: _Solved) -> float:
+    def _found(self, chosen: Sequence[Choice], solved: _Solved | None = None) -> _Found:
         """Truncated cost in which refused places that agree with each other count once."""
+        solved = solved or self._solve(chosen, self._network.dead_reckoned)
         out = np.array([choice is None for choice in chosen], dtype=bool)
         places = np.zeros(len(chosen), dtype=bool)
         places[self._group[self._network.base < 0]] = True
         cost = solved.fit + self._barrier * int((out & ~places).sum())
         rows = np.flatnonzero(out[self._group] & (self._network.base < 0))
         if not len(rows):
-            return cost
+            return _Found(tuple(chosen), solved, cost, ())
         refused = Refused(
             self._group[rows],
             self._network.station[rows],
             -self._network.terms(solved.xyyaw)[0][rows],
             self._network.covariance[rows],
         )
-        return cost + refused_cost(refused, solved.covariance, self._barrier)
+        more, told = stories(refused, solved.covariance, self._barrier)
+        return _Found(tuple(chosen), solved, cost + more, tuple(rows[s] for s in told))
 
     def _gain(self, group: int, chosen: Choice, distance: FloatArray) -> tuple[float, Choice]:
         """What the best other verdict on a group would save, and which that is."""
@@ -232,11 +301,16 @@ class Vote:
             return float(now - distance[nearest]), nearest
         return float(now - self._barrier), None
 
+    def _claims(self, chosen: Sequence[Choice]) -> IntArray:
+        """Numbers of the believed claims."""
+        firsts = self._first[:-1].tolist()
+        believed = [f + c for f, c in zip(firsts, chosen, strict=True) if c is not None]
+        return np.array(believed, dtype=np.int64)
+
     def _weights(self, chosen: Sequence[Choice]) -> FloatArray:
         """1 for each believed claim, 0 for all others, (C,)."""
         weight = np.zeros(len(self._group))
-        rows = [int(f) + c for f, c in zip(self._first[:-1], chosen, strict=True) if c is not None]
-        weight[rows] = 1.0
+        weight[self._claims(chosen)] = 1.0
         return weight
 
     def _solve(self, chosen: Sequence[Choice], begin: FloatArray) -> _Solved:
@@ -250,12 +324,18 @@ class Vote:
             ],
             dtype=np.int64,
         )
-        distance = network.innovations(path.xyyaw, covariance, believed[self._group])
+        off, spread = network.innovations(path.xyyaw, covariance, believed[self._group])
         out = sum(c is None for c in chosen)
         fit = path.chi_square
         cost = fit + self._barrier * out
+        distance = squared(off, spread)
         split = tuple(distance[a:b] for a, b in pairwise(self._first))
-        return _Solved(path.xyyaw, covariance, fit, cost, split)
+        return _Solved(path.xyyaw, covariance, fit, cost, off, spread, split)
+
+
+def _cheaper(best: _Found, other: _Found) -> _Found:
+    """The best stays where the other is not better by more than rounding."""
+    return other if other.cost < best.cost - 1e-6 else best
 
 
 def _station(group: Group) -> int:

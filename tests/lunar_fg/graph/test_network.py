@@ -106,12 +106,12 @@ def test_left_out_is_what_a_network_without_it_says():
     everything = np.ones(len(claims))
     path = network.solve(everything, network.dead_reckoned)
     joint = network.path_covariance(everything, path.xyyaw)
-    inside = network.innovations(path.xyyaw, joint, np.arange(len(claims)))
+    inside = network.distances(path.xyyaw, joint, np.arange(len(claims)))
     for c in range(len(claims)):
         others = np.where(np.arange(len(claims)) == c, 0.0, 1.0)
         rest = network.solve(others, path.xyyaw)
         spread = network.path_covariance(others, rest.xyyaw)
-        outside = network.innovations(rest.xyyaw, spread, np.full(len(claims), -1))
+        outside = network.distances(rest.xyyaw, spread, np.full(len(claims), -1))
         assert inside[c] == pytest.approx(outside[c], rel=0.15, abs=0.05)
 
 

@@ -5,6 +5,7 @@ import pytest
 
 from lunar_fg.graph.network import Claim
 from lunar_fg.graph.planar import Planar, composed, turn
+from lunar_fg.graph.stories import Refused, stories
 from lunar_fg.graph.vote import NONE, Ballot, Group, Vote
 
 BARRIER = 16.27
@@ -19,12 +20,13 @@ def truths(n):
     return poses
 
 
-def ballot(offsets, seed=0, start_sigma=0.01):
+def ballot(offsets, seed=0, start_sigma=0.01, variance=1.0):
     """One fix a station; of each `offsets` the claims' errors, first one first."""
+    covariance = variance * STEP.covariance
     rng = np.random.default_rng(seed)
     poses = truths(len(offsets))
-    root = np.linalg.cholesky(STEP.covariance)
-    motions = [Planar(STEP.xyyaw + root @ rng.normal(size=3), STEP.covariance) for _ in offsets]
+    root = np.linalg.cholesky(covariance)
+    motions = [Planar(STEP.xyyaw + root @ rng.normal(size=3), covariance) for _ in offsets]
     groups = [
         Group(
             tuple(
@@ -111,3 +113,26 @@ def test_leaving_one_out_is_exact():
     groups[3] = Group(groups[3].claims, forced=NONE)
     without = decide(Ballot(whole.start, whole.motions, tuple(groups)))
     np.testing.assert_allclose(inside.distance[3], without.distance[3], rtol=0.02)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_one_story_turns_into_the_other(seed):
+    """Half are off by 7 m and come in runs, which hold each other in."""
+    false = np.array([c == "f" for c in "ffTTTTffffTTffTTfTTf"])
+    whole = ballot(false[:, None] * np.array([5.0, -5.0, 0.0]), seed, variance=0.1)
+    chosen = []
+    for n in range(1, len(false) + 1):
+        so_far = Ballot(whole.start, whole.motions[:n], whole.groups[:n])
+        chosen = list(decide(so_far, [*chosen, None]).chosen)
+    assert [choice is None for choice in chosen] == false.tolist()
+
+
+def test_places_that_a_loose_path_brings_together_tell_no_story():
+    """Two agree within what the path does not know: no reason to count them once."""
+    station = np.array([1, 2])
+    near = np.array([[30.0, 0.0, 0.0], [30.5, 1.0, 0.01]])
+    far = np.array([[30.0, 0.0, 0.0], [20.0, 15.0, 0.0]])
+    for off, sigma, told in ((near, 0.5, 1), (near, 50.0, 0), (far, 0.5, 0), (far, 50.0, 0)):
+        path = np.diag([0.0] * 3 + [sigma**2, sigma**2, 1e-4] * 2)
+        refused = Refused(station, station, off, np.stack([PLACE] * 2))
+        assert len(stories(refused, path, BARRIER)[1]) == told
