@@ -174,6 +174,8 @@ class RelativePose:
         How many landmark correspondences were tried.
     verdict, reason
         A refused pose still holds the prediction, with the prediction's covariance.
+    agreeing
+        How many correspondences agree on the best motion, be it refused. Not kept in logs.
     """
 
     a_T_b: FloatArray
@@ -182,6 +184,7 @@ class RelativePose:
     correspondences: int
     verdict: Verdict
     reason: str = ""
+    agreeing: int = 0
 
     @property
     def accepted(self) -> bool:
@@ -205,6 +208,7 @@ class RelativePose:
             self.correspondences,
             self.verdict,
             self.reason,
+            self.agreeing,
         )
 
 

@@ -28,6 +28,9 @@ FloatArray = NDArray[np.float64]
 LANDMARK_CORRELATION = 0.005
 
 
+_DOES_NOT_HOLD = "the motion does not hold after refinement"
+
+
 @dataclass(frozen=True, slots=True)
 class RelativeConfig:
     """Settings of relative positioning.
@@ -174,6 +177,7 @@ class RelativePositioning:
                 count,
                 f"{int(inlier.sum())} of {count} tracked landmarks agree on one motion, "
                 f"{needed} are needed",
+                int(inlier.sum()),
             )
         return self._refine(problem, observations_b, b_T_a, inlier, prediction)
 
@@ -254,21 +258,24 @@ class RelativePositioning:
         # than stated; what is farther off is wrong.
         plausible = problem.distances2(b_T_a) < 4.0 * self._gate
         if plausible.sum() < self._needed:
-            return _refuse(prediction, count, "the motion does not hold after refinement")
+            return _refuse(prediction, count, _DOES_NOT_HOLD, int(plausible.sum()))
         b_T_a = problem.solve(b_T_a, sigma, among=plausible)
         chi2 = problem.distances2(b_T_a)
         inlier = chi2 < self._gate
         if inlier.sum() < self._needed:
-            return _refuse(prediction, count, "the motion does not hold after refinement")
+            return _refuse(prediction, count, _DOES_NOT_HOLD, int(inlier.sum()))
         if false_alarms(chi2, self._gate) > self.config.false_alarms:
             return _refuse(
                 prediction,
                 count,
                 f"{int(inlier.sum())} of {count} tracked landmarks agree, as many as by chance",
+                int(inlier.sum()),
             )
         covariance_b_T_a = problem.motion_covariance(b_T_a, sigma, among=plausible)
         if covariance_b_T_a is None:
-            return _refuse(prediction, count, "the landmarks do not fix all six motions")
+            return _refuse(
+                prediction, count, "the landmarks do not fix all six motions", int(inlier.sum())
+            )
         # right perturbation of the inverse: Ad of b_T_a, the sign squares away
         turn = adjoint(b_T_a)
         shared = 1.0 + self._correlation * float(inlier.sum())
@@ -279,10 +286,13 @@ class RelativePositioning:
             observations_b.landmark_id[inlier],
             count,
             Verdict.ACCEPTED,
+            agreeing=int(inlier.sum()),
         )
 
 
-def _refuse(prediction: MotionPrediction, count: int, reason: str) -> RelativePose:
+def _refuse(
+    prediction: MotionPrediction, count: int, reason: str, agreeing: int = 0
+) -> RelativePose:
     return RelativePose(
         prediction.a_T_b,
         prediction.covariance,
@@ -290,6 +300,7 @@ def _refuse(prediction: MotionPrediction, count: int, reason: str) -> RelativePo
         count,
         Verdict.REFUSED,
         reason,
+        agreeing,
     )
 
 

@@ -175,9 +175,7 @@ class LandmarkTracker:
         memory = self._memory
         if memory is None:
             return 0
-        points_b = predicted_points(prediction, memory.points[memory.unseen == 0])
-        u_left, _, v = self.camera.project(points_b[points_b[:, 2] > 1e-3]).T
-        return int(self.camera.contains(u_left, v, 0.0).sum())
+        return in_view(self.camera, memory.points[memory.unseen == 0], prediction)
 
     def commit(
         self, features: StereoFeatures, tracks: Tracks, relative: RelativePose
@@ -280,3 +278,10 @@ def common_landmarks(
     """Observations of the landmarks that both frames see, in the same order."""
     _, i, j = np.intersect1d(a.landmark_id, b.landmark_id, assume_unique=True, return_indices=True)
     return a.select(i), b.select(j)
+
+
+def in_view(camera: StereoCamera, points_a: FloatArray, prediction: MotionPrediction) -> int:
+    """How many points (N, 3) in a's axes a predicted motion leaves in the picture."""
+    points_b = predicted_points(prediction, points_a)
+    u_left, _, v = camera.project(points_b[points_b[:, 2] > 1e-3]).T
+    return int(camera.contains(u_left, v, 0.0).sum())

@@ -13,13 +13,20 @@ from frontends.detector import FeatureDetector
 from frontends.measurements import RelativePose, StartPrior, StereoFrame, UnusableFrame, Verdict
 from frontends.relative import MotionPrediction, RelativePositioning
 from frontends.stereo import StereoFeatures, StereoPerception
-from frontends.tracking import LandmarkTracker, Reach, Tracks
+from frontends.tracking import LandmarkTracker, Reach, Tracks, in_view
 from lunar_fg.checkpoint import Checkpoint
 from lunar_fg.config import Config
 from lunar_fg.dead_reckoning import DeadReckoning
 from lunar_fg.graph.keyframe import Keyframe
 from lunar_fg.motion import MotionModel, tilt_of
-from lunar_fg.plausibility import DeadCamera, Episodes, Plausibility, same_ground, was_carried
+from lunar_fg.plausibility import (
+    DeadCamera,
+    Episodes,
+    Plausibility,
+    Refound,
+    other_ground,
+    was_carried,
+)
 from lunar_fg.record import FrameRecord, FrameReport, Sensors
 from lunar_fg.standstill import zero_motion
 from lunar_fg.stopwatch import Stopwatch
@@ -69,7 +76,8 @@ class Frontend:
         self._rover_T_camera = rover_T_camera
         self._start = start
         self._config = config
-        self._found: int = 0  # landmarks that the last motion was seen by
+        #: Of the last motion; None where it was not seen.
+        self._refound: Refound | None = None
         self._relive(())
         self._stopwatch = stopwatch
 
@@ -87,15 +95,19 @@ class Frontend:
         prediction = self._motion.predict(frame)
         if isinstance(frame, UnusableFrame):
             relative = _unmeasured(prediction, frame.reason)
-            observations, shared = None, False
+            observations, carried = None, False
+            self._refound = None
             self._tracker.skip(relative)
             report, unusable = FrameReport(), frame.reason
             self._note_unusable(frame.index, frame.reason)
         else:
             with self._stopwatch.stage("stereo"):
                 features = self.perception.perceive(frame)
-            shared = same_ground(self._tracker.in_view(prediction), len(features), self._found)
+            possible = min(self._tracker.in_view(prediction), len(features))
             tracks, relative = self._locate(features, prediction)
+            now = Refound(possible, relative.agreeing)
+            carried = not relative.accepted and other_ground(self._refound, now)
+            self._refound = now if relative.accepted else None
             standing = zero_motion(relative)
             if standing is None:
                 observations = self._tracker.commit(features, tracks, relative)
@@ -107,14 +119,12 @@ class Frontend:
         by_wheels = self._dead_reckoning.step(sensors)
         self.records.append(FrameRecord(sensors, report, unusable, by_wheels))
         self._motion.update(sensors, relative)
-        if relative.accepted:
-            self._found = len(relative.inlier_ids)
         if isinstance(taken, StereoFrame):
             self._dead_camera.remember()
         tilt = self._plausibility.tilt(frame.index, tilt_of(frame), relative)
         if len(self.records) == 1:
             return Keyframe(frame.index, frame.stamp_s, observations, tilt=tilt)
-        odometry = self._plausibility.odometry(frame.index, odometry, relative, same_ground=shared)
+        odometry = self._plausibility.odometry(frame.index, odometry, relative, carried=carried)
         if observations is None and relative.accepted:  # standing still: nothing new
             odometry = tilt = None
         return Keyframe(frame.index, frame.stamp_s, observations, relative, odometry, tilt)
@@ -182,22 +192,25 @@ class Frontend:
         self._motion = MotionModel(self._rover_T_camera, self._config.motion)
         self._plausibility = Plausibility(self._rover_T_camera, self._config.motion)
         self._dead_reckoning = DeadReckoning(self._start, self._config.motion)
-        self._found = 0
+        self._refound, seen = None, None
         for keyframe, record in frames:
             sensors, relative = record.sensors, keyframe.relative
-            odometry = self._motion.odometry(sensors)
+            odometry, prediction = self._motion.odometry(sensors), self._motion.predict(sensors)
             self._motion.update(sensors, relative)
             self._dead_reckoning.step(sensors)
-            if relative is not None and relative.accepted:
-                self._found = len(relative.inlier_ids)
+            self._refound = None
             if relative is None:  # at the first frame
-                relative = _unmeasured(self._motion.predict(sensors), "")
+                relative = _unmeasured(prediction, "")
             else:
-                self._plausibility.odometry(
-                    keyframe.index, odometry, relative,
-                    same_ground=was_carried(keyframe, self._config.motion),
-                )  # fmt: skip
+                if relative.accepted and seen is not None:
+                    possible = in_view(self._tracker.camera, seen.points_cam, prediction)
+                    possible = min(possible, record.report.landmarks)
+                    self._refound = Refound(possible, len(relative.inlier_ids))
+                carried = was_carried(keyframe, self._config.motion)
+                self._plausibility.odometry(keyframe.index, odometry, relative, carried=carried)
             self._plausibility.tilt(keyframe.index, tilt_of(sensors), relative)
+            if keyframe.observations is not None or record.unusable:
+                seen = keyframe.observations
 
     def _note_unusable(self, frame: int, reason: str) -> None:
         self._unusable.setdefault(reason, Episodes(reason)).note(frame)
@@ -205,12 +218,12 @@ class Frontend:
     def _locate(
         self, features: StereoFeatures, prediction: MotionPrediction
     ) -> tuple[Tracks, RelativePose]:
-        """Track and position; where most tracks disagree, search wider and believe that.
+        """Track and position; where most tracks disagree, search wider, too.
 
-        Near the predicted places even wrong matches agree with each other: two views that have
-        nothing in common give a motion close to the prediction. A wider search leaves them no
-        such help, and still finds a motion that is true.
+        A turn or slip that nobody told of takes landmarks out of the near windows; where these
+        hold them, they are found best there, among the least others.
         """
+        best: tuple[Tracks, RelativePose] | None = None
         for reach in Reach if self._motion.known else (Reach.WIDE, Reach.ANYWHERE):
             with self._stopwatch.stage("tracking"):
                 tracks = self._tracker.associate(features, prediction, reach)
@@ -218,9 +231,12 @@ class Frontend:
                 relative = self.positioning.estimate(
                     tracks.points_a, tracks.covariance_a, tracks.observations_b, prediction
                 )
+            if best is None or len(relative.inlier_ids) > len(best[1].inlier_ids):
+                best = tracks, relative
             if relative.accepted and relative.wrong_match_rate < _MOST_WRONG:
                 break
-        return tracks, relative
+        assert best is not None
+        return best
 
 
 def _report(features: StereoFeatures, relative: RelativePose) -> FrameReport:

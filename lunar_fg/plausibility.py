@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
+from scipy.stats import chi2, nbinom
 
 from frontends.geometry import inverse, se3_log
 from frontends.measurements import Image, Odometry, RelativePose, StereoFrame, Tilt
@@ -26,12 +26,6 @@ FloatArray = NDArray[np.float64]
 _FALSE_ALARM = 1e-5
 _LARGEST_TILT_SIGMA_RAD = 1.0
 _MOTION_GATE, _TILT_GATE = (float(chi2.isf(_FALSE_ALARM, df)) for df in (6, 2))
-#: Two views of so many landmarks each, on the same ground, have some in common: were only half
-#: of them found again, fewer than relative positioning needs (12) would be found once in 1e4.
-_ENOUGH_LANDMARKS = 50
-#: And only where landmarks are found again well, as the last motion that was seen shows: where
-#: images are poor, or steps long, a motion that is not seen is nothing special.
-_FOUND_WELL = 100
 #: Noise is in every row: each eighth tells as well whether an image is a new one.
 _EVERY_ROW = 8
 
@@ -142,17 +136,16 @@ class Plausibility:
         odometry: Odometry | None,
         relative: RelativePose,
         *,
-        same_ground: bool = False,
+        carried: bool = False,
     ) -> Odometry | None:
         """Return the odometry, as uncertain as its disagreement with the images shows.
 
         Wheels slip, images that many landmarks agree on do not: where the two differ by more
         than their covariances allow, the difference itself becomes the wheels' uncertainty.
-        `same_ground` says that by the wheels both views show it; where the images nevertheless
-        have nothing in common, the wheels are not believed at all.
+        Of a rover that was `carried` (see `other_ground`) they are not believed at all.
         """
         if not relative.accepted:
-            if odometry is None or not same_ground:
+            if odometry is None or not carried:
                 self._unseen.note(frame)
                 return odometry
             self._carried.note(frame)
@@ -205,19 +198,35 @@ class Plausibility:
         self._drift += float(np.linalg.eigvalsh(seen.covariance[:3, :3])[-1])
 
 
-def same_ground(before: int, now: int, found: int) -> bool:
-    """Whether two views must have landmarks in common.
+@dataclass(frozen=True, slots=True)
+class Refound:
+    """Landmarks that two views have in common.
 
-    Parameters
+    Attributes
     ----------
-    before
-        Landmarks of the frame before that the wheels' motion leaves in the picture.
-    now
-        Landmarks of this frame.
+    possible
+        Those of the first that the wheels' motion leaves in the picture, or all of the second
+        if these are fewer.
     found
-        Landmarks that the last motion was seen by.
+        Those that agree on one motion.
     """
-    return min(before, now) >= _ENOUGH_LANDMARKS and found >= _FOUND_WELL
+
+    possible: int
+    found: int
+
+
+def other_ground(before: Refound | None, now: Refound) -> bool:
+    """Whether two views show different ground, though by the wheels it is the same.
+
+    The motion before shows how often a landmark is found again. With Jeffreys' prior on that
+    rate, and counts that are Poisson's, the count now is negative binomial; that so few are
+    found again on the same ground must be as rare as a false alarm may be. Where the motion
+    before was not seen, nothing is known of the rate, and no alarm is raised.
+    """
+    if before is None or before.possible == 0 or now.possible == 0:
+        return False
+    share = before.possible / (before.possible + now.possible)
+    return float(nbinom.cdf(now.found, before.found + 0.5, share)) < _FALSE_ALARM
 
 
 def was_carried(keyframe: Keyframe, config: MotionConfig) -> bool:

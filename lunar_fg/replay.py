@@ -122,7 +122,7 @@ def with_motion(
                     keyframe.index,
                     odometry,
                     keyframe.relative,
-                    same_ground=was_carried(keyframe, config),
+                    carried=was_carried(keyframe, config),
                 )
             frame = replace(frame, keyframe=replace(keyframe, odometry=odometry), record=record)
         result.append(frame)

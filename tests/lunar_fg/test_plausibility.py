@@ -13,7 +13,8 @@ from lunar_fg.plausibility import (
     DeadCamera,
     Episodes,
     Plausibility,
-    same_ground,
+    Refound,
+    other_ground,
     was_carried,
 )
 
@@ -62,7 +63,7 @@ def test_slipping_wheels_get_the_uncertainty_of_their_slip():
 def test_a_rover_that_was_carried_may_be_anywhere():
     plausibility = Plausibility(MOUNT)
     wheels = Odometry(STEP, WHEELS)
-    opened = plausibility.odometry(5, wheels, seen(STEP, accepted=False), same_ground=True)
+    opened = plausibility.odometry(5, wheels, seen(STEP, accepted=False), carried=True)
     assert np.sqrt(opened.covariance[3, 3]) > 15.0
     assert np.sqrt(opened.covariance[2, 2]) > 0.9
     assert was_carried(Keyframe(5, 5.0, None, seen(STEP, accepted=False), opened), MotionConfig())
@@ -70,12 +71,29 @@ def test_a_rover_that_was_carried_may_be_anywhere():
     # seen ground is not carried, whatever the wheels' own uncertainty
     assert not was_carried(Keyframe(6, 6.0, None, seen(STEP), opened), MotionConfig())
     assert not was_carried(Keyframe(7, 7.0, None, None, wheels), MotionConfig())
-    # too few landmarks to expect any of them again
-    assert not same_ground(20, 400, 300)
-    assert not same_ground(400, 20, 300)
-    # nor where few were found again all along
-    assert not same_ground(400, 400, 40)
-    assert same_ground(400, 400, 300)
+
+
+def test_other_ground_is_told_by_how_often_landmarks_are_found_again():
+    often = Refound(300, 100)
+    assert other_ground(often, Refound(300, 10))
+    # too few landmarks to expect many of them again
+    assert not other_ground(often, Refound(40, 5))
+    # nor where few were found again just before, or nothing is known of that
+    assert not other_ground(Refound(300, 30), Refound(300, 10))
+    assert not other_ground(None, Refound(300, 0))
+    assert not other_ground(Refound(0, 0), Refound(300, 0))
+
+
+def test_counts_of_the_same_ground_raise_no_alarm():
+    rng = np.random.default_rng(4)
+    rates = rng.uniform(0.02, 0.5, 30_000)
+    possible = rng.integers(20, 500, (2, len(rates)))
+    found = rng.poisson(rates * possible)
+    alarms = [
+        other_ground(Refound(int(n1), int(k1)), Refound(int(n2), int(k2)))
+        for n1, n2, k1, k2 in zip(*possible, *found, strict=True)
+    ]
+    assert np.mean(alarms) <= 1e-4  # 1e-5 is what is asked for
 
 
 def tilts(truth, bias, rng):
