@@ -22,6 +22,9 @@ def skew(v: ArrayLike) -> FloatArray:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
+_LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
+
+
 def pose(rotation: ArrayLike, translation: ArrayLike) -> FloatArray:
     """4x4 transform from a (3, 3) rotation and a (3,) translation in metres."""
     transform = np.eye(4)
@@ -117,7 +120,7 @@ def is_rigid(transform: FloatArray, tolerance: float = 1e-4) -> bool:
     return bool(
         orthonormal
         and np.linalg.det(rotation) > 0.0
-        and np.allclose(transform[3], [0.0, 0.0, 0.0, 1.0], atol=tolerance)
+        and np.abs(transform[3] - _LAST_ROW).max() < tolerance
     )
 
 

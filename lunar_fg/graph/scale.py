@@ -83,14 +83,18 @@ class Anchors:
         sigma
             1-sigma of the scale.
         """
+        if sigma == 0.0:
+            return covariances
         count = len(self.frame)
-        before = np.clip(np.searchsorted(self.frame, frame, "right") - 1, 0, count - 1)
+        before = np.maximum(np.searchsorted(self.frame, frame, "right") - 1, 0)
         after = np.minimum(before + 1, count - 1)
-        from_before = np.nan_to_num(poses[:, :3, 3] - self.position[before])
-        from_after = np.nan_to_num(poses[:, :3, 3] - self.position[after])
+        from_before = poses[:, :3, 3] - self.position[before]
+        from_after = poses[:, :3, 3] - self.position[after]
+        for way in (from_before, from_after):
+            way[np.isnan(way)] = 0.0
         free = np.zeros((count, 3))
         free[:, :2] = self.by_scale
-        a, b = (np.linalg.norm(way, axis=1) for way in (from_before, from_after))
+        a, b = (np.sqrt(np.einsum("ni,ni->n", way, way)) for way in (from_before, from_after))
         share = np.where(after > before, a / np.maximum(a + b, 1e-9), 0.0)[:, None]
         by_scale = (1.0 - share) * (free[before] + from_before)
         by_scale += share * (free[after] + from_after)

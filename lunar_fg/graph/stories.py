@@ -42,7 +42,7 @@ class Refused:
 
 
 def stories(
-    refused: Refused, covariance: FloatArray, barrier: float
+    refused: Refused, covariance: FloatArray, barrier: float, believed: int
 ) -> tuple[float, list[IntArray]]:
     """What all refused groups cost together, and the stories of two or more that are told.
 
@@ -54,6 +54,8 @@ def stories(
         (3n, 3n) of the stations, map axes, without the refused ones.
     barrier
         What one independent error costs.
+    believed
+        How many groups are not refused.
 
     Returns
     -------
@@ -62,7 +64,7 @@ def stories(
     """
     told: list[IntArray] = []
     left = np.ones(len(refused.group), dtype=bool)
-    total = 0.0
+    sizes, total = [believed], 0.0
     n = len(covariance) // 3
     joint = covariance.reshape(n, 3, n, 3)[refused.station][:, :, refused.station]
     rows = np.arange(len(refused.group))
@@ -76,6 +78,7 @@ def stories(
                 joint[np.ix_(members, np.arange(3), members)],
                 refused.covariance[members],
             )
+            cost += _division([*sizes, len(members)]) - _division(sizes)
             if cost < barrier * len(members):
                 break
             cost = np.inf
@@ -83,9 +86,21 @@ def stories(
         if len(members) < 2:
             break
         told.append(members)
+        sizes.append(len(members))
         total += cost
         left &= ~np.isin(refused.group, refused.group[members])
     return total + barrier * len(np.unique(refused.group[left])), told
+
+
+def _division(sizes: list[int]) -> float:
+    """Twice the negative logarithm of the likelihood that each belongs where it does.
+
+    Any places are better described in two parts than in one; what the division itself takes to
+    be told outweighs that.
+    """
+    share = np.array(sizes, dtype=np.float64)
+    share = share[share > 0.0]
+    return float(-2.0 * (share * np.log(share / share.sum())).sum())
 
 
 def _agreement(refused: Refused, joint: FloatArray) -> FloatArray:

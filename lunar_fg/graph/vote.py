@@ -288,7 +288,7 @@ class Vote:
             -self._network.terms(solved.xyyaw)[0][rows],
             self._network.covariance[rows],
         )
-        more, told = stories(refused, solved.covariance, self._barrier)
+        more, told = stories(refused, solved.covariance, self._barrier, int((~out).sum()))
         return _Found(tuple(chosen), solved, cost + more, tuple(rows[s] for s in told))
 
     def _gain(self, group: int, chosen: Choice, distance: FloatArray) -> tuple[float, Choice]:

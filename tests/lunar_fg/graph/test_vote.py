@@ -135,4 +135,16 @@ def test_places_that_a_loose_path_brings_together_tell_no_story():
     for off, sigma, told in ((near, 0.5, 1), (near, 50.0, 0), (far, 0.5, 0), (far, 50.0, 0)):
         path = np.diag([0.0] * 3 + [sigma**2, sigma**2, 1e-4] * 2)
         refused = Refused(station, station, off, np.stack([PLACE] * 2))
-        assert len(stories(refused, path, BARRIER)[1]) == told
+        assert len(stories(refused, path, BARRIER, 0)[1]) == told
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_true_places_are_not_told_as_two_stories(seed):
+    """Any noise fits better in two halves, each about its own middle."""
+    off = np.random.default_rng(seed).normal(size=(60, 3)) * [1.0, 1.0, 0.02]
+    off = off[np.argsort(off[:, 0])]
+    chi_square = (off**2 / np.diag(PLACE)).sum(axis=1)
+    half = np.arange(30)
+    refused = Refused(half, half, off[:30], np.stack([PLACE] * 30))
+    cost, _ = stories(refused, 1e-8 * np.eye(90), BARRIER, 30)
+    assert cost + chi_square[30:].sum() > chi_square.sum()
