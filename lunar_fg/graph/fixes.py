@@ -35,7 +35,7 @@ from lunar_fg.graph.planar import (
     updated,
     wrapped,
 )
-from lunar_fg.graph.scale import stretched
+from lunar_fg.graph.scale import FixedScale, fixed_scale
 from lunar_fg.graph.vote import NONE, Ballot, Choice, Group, Vote
 
 #: Roll, pitch and height of a tangent vector; the vote is on the others.
@@ -292,10 +292,10 @@ class FixJudge:
             tuple(self._group(case, number) for case in self._window),
         )
 
-    def by_scale(self, scale_sigma: float) -> dict[int, FloatArray]:
-        """How an error of the scale moves the window's stations, by ordinal; see `scale`."""
+    def fixed_scale(self, scale_sigma: float) -> tuple[FixedScale | None, dict[int, FloatArray]]:
+        """What the window's fixes say of the scale; how it moves the stations, by ordinal."""
         if not any(case.chosen is not None for case in self._window):
-            return {}
+            return None, {}
         ballot = self._ballot()
         claims = [
             group.claims[case.chosen]
@@ -304,10 +304,10 @@ class FixJudge:
         ]
         ordinals = sorted({station for pair in self._motions for station in pair})
         try:
-            moved = stretched(ballot.start, ballot.motions, claims, scale_sigma)
+            found = fixed_scale(ballot.start, ballot.motions, claims, scale_sigma)
         except EstimationError:  # a covariance then lacks the scale's share, nothing else
-            return {}
-        return dict(zip(ordinals, moved, strict=True))
+            return None, {}
+        return found, dict(zip(ordinals, found.by_scale, strict=True))
 
     def _group(self, case: _Case, number: Mapping[int, int]) -> Group:
         station = number[case.ordinal]

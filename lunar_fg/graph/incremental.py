@@ -31,7 +31,7 @@ from lunar_fg.graph.landmarks import in_rover_frames
 from lunar_fg.graph.ledger import FixDecision, Height, LedgerEntry, LoopClosure
 from lunar_fg.graph.planar import Planar, planar_of
 from lunar_fg.graph.posegraph import SegmentGraph, compose
-from lunar_fg.graph.scale import Anchors
+from lunar_fg.graph.scale import Anchors, FixedScale
 from lunar_fg.graph.vote import NONE
 
 NO_VERTICAL_WARNING = (
@@ -122,7 +122,9 @@ class IncrementalSmoother:
         self._index: list[int] = []
         self._stamp_s: list[float] = []
         self._vertical = False
-        self._start, self._scale_sigma = start, config.scale_sigma
+        self._start, self._config = start, config
+        self._scale_sigma = config.scale_sigma
+        self._scale_warning: tuple[str, ...] = ()
         self._anchors: Anchors | None = None
         self._rover_T_camera = np.array(rover_T_camera, float)
         self._before: tuple[FloatArray, FloatArray] | None = None
@@ -132,7 +134,9 @@ class IncrementalSmoother:
     def warnings(self) -> tuple[str, ...]:
         """One line each for the run's warnings."""
         vertical = () if self._vertical or len(self._index) < 2 else (NO_VERTICAL_WARNING,)
-        return (*vertical, *self._graph.warnings, *self._failures)
+        if self._index:
+            self._fixed_at()
+        return (*vertical, *self._scale_warning, *self._graph.warnings, *self._failures)
 
     def add_keyframe(
         self,
@@ -384,7 +388,8 @@ class IncrementalSmoother:
 
     def _fixed_at(self) -> Anchors:
         if self._anchors is None:
-            moved = self._judge.by_scale(self._scale_sigma)
+            scale, moved = self._judge.fixed_scale(self._config.scale_sigma)
+            self._take_scale(scale)
             self._anchors = Anchors.of(
                 self._index[0],
                 self._start.map_T_rover,
@@ -392,6 +397,19 @@ class IncrementalSmoother:
                 {self._index[ordinal]: shift for ordinal, shift in moved.items()},
             )
         return self._anchors
+
+    def _take_scale(self, scale: FixedScale | None) -> None:
+        """Consider a scale as wrong as the fixes say, and say so where they contradict it."""
+        stated = self._config.scale_sigma
+        self._scale_sigma = stated if scale is None else scale.considered(stated)
+        self._scale_warning = ()
+        if scale is not None and scale.contradicts(stated, self._config.fix_gate_probability):
+            length = "long" if scale.excess > 0.0 else "short"
+            self._scale_warning = (
+                f"by the fixes the path is {100.0 * abs(scale.excess):.1f} % too {length} (sigma "
+                f"{100.0 * scale.sigma:.1f} %): check the baseline and the focal length; the "
+                "covariances allow for it",
+            )
 
     def _refresh(self) -> None:
         """Carry the next estimate on from where the fix has put the rover."""

@@ -6,6 +6,11 @@ the estimate alone and adds ``sigma^2 J J^T``, with J the derivative of a positi
 From the start on J is the way from there. Where the rover was fixed, it is what is left of it when
 the path is stretched and laid on the fixes again: little where these are known better than the
 way between them, more where they are not.
+
+Fixes do show it, though: they say how long the way between them is. Where they contradict the
+calibration, its sigma is not believed: it is taken as that of Student's t with three degrees of
+freedom, the heaviest tail that has a variance, and sigma becomes the rms of what is left of the
+scale's error once the fixes are known.
 """
 
 from __future__ import annotations
@@ -14,14 +19,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import norm, t
 
 from frontends.measurements import AbsoluteFix, FloatArray, IntArray, Verdict
 from lunar_fg.graph.ledger import LedgerEntry
 from lunar_fg.graph.network import Claim, Network
 from lunar_fg.graph.planar import Planar
 
-#: Step of the derivative.
-_STRETCH = 1e-3
+#: Step of the derivatives.
+_STRETCH = 5e-3
+#: The least whole number with which Student's t has a variance.
+_HEAVY_TAIL = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,10 +112,50 @@ class Anchors:
         return considered
 
 
-def stretched(
+@dataclass(frozen=True, slots=True)
+class FixedScale:
+    """What the fixes of a path say of its scale, and what the scale does to the path.
+
+    Attributes
+    ----------
+    excess, sigma
+        Share by which the path is longer than the fixes have it, and its 1-sigma, from the
+        fixes and the path alone; sigma is infinite where they say nothing.
+    by_scale
+        (n, 2) how the scale moves the path's stations, m a unit.
+    """
+
+    excess: float
+    sigma: float
+    by_scale: FloatArray
+
+    def considered(self, scale_sigma: float) -> float:
+        """1-sigma of the scale by the calibration, stated as `scale_sigma`, and the fixes."""
+        if scale_sigma <= 0.0 or not np.isfinite(self.sigma):
+            return scale_sigma
+        reach = max(abs(self.excess) + 8.0 * self.sigma, 20.0 * scale_sigma)
+        scale = np.linspace(-reach, reach, 4001)
+        believed = t.pdf(scale, _HEAVY_TAIL, scale=scale_sigma / np.sqrt(_HEAVY_TAIL))
+        believed *= norm.pdf(scale, self.excess, max(self.sigma, reach / 1000.0))
+        if not believed.sum() > 0.0:
+            return max(scale_sigma, abs(self.excess))
+        rms = float(np.sqrt((believed * scale**2).sum() / believed.sum()))
+        # fixes that agree with the calibration do not make it better than it says
+        return max(scale_sigma, rms)
+
+    def contradicts(self, scale_sigma: float, probability: float) -> bool:
+        """Whether a calibration as good as stated would be off by less with this probability."""
+        if not np.isfinite(self.sigma):
+            return False
+        return abs(self.excess) > float(norm.isf(0.5 * (1.0 - probability))) * float(
+            np.hypot(scale_sigma, self.sigma)
+        )
+
+
+def fixed_scale(
     start: Planar, motions: Sequence[Planar], claims: Sequence[Claim], scale_sigma: float
-) -> FloatArray:
-    """How the scale moves the stations of a path that claims hold, (n, 2), m a unit.
+) -> FixedScale:
+    """Stretch a path that claims hold, and see how it moves and how well it fits.
 
     Parameters
     ----------
@@ -122,7 +170,7 @@ def stretched(
         The path cannot be solved for.
     """
     paths = []
-    for stretch in (0.0, _STRETCH):
+    for stretch in (-_STRETCH, 0.0, _STRETCH):
         ways = []
         for motion in motions:
             xyyaw, covariance = motion.xyyaw.copy(), motion.covariance.copy()
@@ -131,5 +179,12 @@ def stretched(
             xyyaw[:2] *= 1.0 + stretch
             ways.append(replace(motion, xyyaw=xyyaw, covariance=covariance))
         network = Network(start, ways, claims)
-        paths.append(network.solve(np.ones(len(claims)), network.dead_reckoned).xyyaw)
-    return np.asarray((paths[1] - paths[0])[:, :2] / _STRETCH)
+        paths.append(network.solve(np.ones(len(claims)), network.dead_reckoned))
+    shorter, same, longer = (path.chi_square for path in paths)
+    curvature = (longer - 2.0 * same + shorter) / _STRETCH**2
+    excess, sigma = 0.0, float("inf")
+    if curvature > 0.0:
+        excess = float((longer - shorter) / (2.0 * _STRETCH * curvature))
+        sigma = float(np.sqrt(2.0 / curvature))
+    moved = (paths[-1].xyyaw - paths[0].xyyaw)[:, :2] / (2.0 * _STRETCH)
+    return FixedScale(excess, sigma, np.asarray(moved))

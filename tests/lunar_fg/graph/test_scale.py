@@ -6,7 +6,7 @@ from frontends.measurements import AbsoluteFix, FixCandidate
 from lunar_fg.graph import IncrementalSmoother, optimize_batch
 from lunar_fg.graph.network import Claim
 from lunar_fg.graph.planar import Planar, planar
-from lunar_fg.graph.scale import Anchors, stretched
+from lunar_fg.graph.scale import Anchors, fixed_scale
 from lunar_fg.simulation.measurements import INDEPENDENT, TraverseSpec, simulate
 
 SHARE = 0.02
@@ -72,10 +72,32 @@ def test_fixes_that_are_exact_leave_nothing_of_it_where_they_are():
     way = Planar(np.array([20.0, 0.0, 0.0]), 0.04 * np.eye(3))
     exact = Claim(1, Planar(np.array([20.0, 0.0, 0.0]), 1e-8 * np.eye(3)))
     np.testing.assert_allclose(
-        stretched(start, (way, way), (exact,), 0.0), [[0, 0], [0, 0], [20, 0]], atol=1e-3
+        fixed_scale(start, (way, way), (exact,), 0.0).by_scale, [[0, 0], [0, 0], [20, 0]], atol=1e-3
     )
     loose = Claim(1, Planar(np.array([20.0, 0.0, 0.0]), 1e4 * np.eye(3)))
-    np.testing.assert_allclose(stretched(start, (way,), (loose,), 0.0)[1], [20, 0], atol=1e-2)
+    found = fixed_scale(start, (way,), (loose,), 0.0)
+    np.testing.assert_allclose(found.by_scale[1], [20, 0], atol=1e-2)
+
+
+def test_a_baseline_that_is_wrong_by_more_than_stated_is_found_by_the_fixes():
+    stated = INDEPENDENT.model_copy(update={"scale_sigma": 0.005})
+    made, _, smoother, _ = drive(stated, fixed=(20, 50, 80, 110))
+    assert np.mean(sigmas_off(made, smoother.trajectory()) < 3.0) > 0.95
+    assert any("% too long" in line for line in smoother.warnings)
+    _, _, sound, _ = drive(stated)
+    assert not any("too long" in line for line in sound.warnings)
+
+
+def test_fixes_that_agree_leave_the_scale_as_it_is_stated():
+    start = Planar(np.zeros(3), 1e-4 * np.eye(3))
+    way = Planar(np.array([50.0, 0.0, 0.0]), np.diag([1e-2, 1e-2, 1e-4]))
+    for length, excess in ((50.0, 0.0), (48.0, 0.042)):
+        fix = Claim(1, Planar(np.array([length, 0.0, 0.0]), np.diag([1e-2, 1e-2, 1e-4])))
+        found = fixed_scale(start, (way,), (fix,), 0.0)
+        assert abs(found.excess - excess) < 2e-3
+        assert np.isclose(found.sigma, np.sqrt(2.01e-2) / 50.0, rtol=0.05)
+        assert found.contradicts(0.005, 0.999) == (excess > 0.0)
+        assert np.isclose(found.considered(0.005), max(0.005, excess), rtol=0.15)
 
 
 def test_between_two_fixes_it_is_spread_out():
