@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from frontends.absolute.correlation import high_pass, smooth
+from frontends.absolute.correlation import high_pass, smooth, winsorised
 from frontends.absolute.patch import ReliefPatch
 from frontends.absolute.search import Channel, turned
 from frontends.measurements import SunDirection
@@ -84,12 +84,12 @@ def rendered_channels(
     heights, _, known, centre = padded(patch)
     cell = patch.grid.cell_m
     image, mask = _image(window)
-    brightness = high_pass(image, mask, _HIGH_PASS_PIXELS * pixel)
+    brightness = winsorised(high_pass(image, mask, _HIGH_PASS_PIXELS * pixel), mask)
 
     @lru_cache(maxsize=1)  # the three channels ask for the same turn one after the other
     def template(yaw: float) -> tuple[Layer, Mask]:
         lit, seen = relit(*turned(heights, known, yaw, centre), cell, sun, pixel)
-        return high_pass(lit, seen, _HIGH_PASS_PIXELS * pixel), seen
+        return winsorised(high_pass(lit, seen, _HIGH_PASS_PIXELS * pixel), seen), seen
 
     def gradient(axis: int) -> Channel:
         def turned_gradient(yaw: float) -> tuple[Layer, Mask]:
@@ -113,9 +113,8 @@ def elevation_channels(
     def part(axis: int) -> Channel:
         reference = slopes(np.where(mask, model, np.nan), cell)[axis]
         seen = np.isfinite(reference)
-        image = high_pass(
-            np.nan_to_num(reference).astype(np.float32), seen, _DEM_HIGH_PASS_PIXELS * pixel
-        )
+        filled = np.nan_to_num(reference).astype(np.float32)
+        image = winsorised(high_pass(filled, seen, _DEM_HIGH_PASS_PIXELS * pixel), seen)
 
         def template(yaw: float) -> tuple[Layer, Mask]:
             values, there = turned(heights, known, yaw, centre)
@@ -123,7 +122,8 @@ def elevation_channels(
             slope = slopes(ground, cell)[axis]
             there = np.isfinite(slope)
             filled = np.nan_to_num(slope).astype(np.float32)
-            return high_pass(filled, there, _DEM_HIGH_PASS_PIXELS * pixel), there
+            filtered = high_pass(filled, there, _DEM_HIGH_PASS_PIXELS * pixel)
+            return winsorised(filtered, there), there
 
         return Channel(image, seen, template)
 

@@ -29,6 +29,23 @@ def high_pass(values: Layer, mask: Mask, sigma_px: float) -> Layer:
     return np.where(mask, held - smooth(held, mask, sigma_px), 0.0).astype(np.float32)
 
 
+def winsorised(values: Layer, mask: Mask) -> Layer:
+    """Values limited to three robust sigmas about the median; 0 outside of the mask.
+
+    A few rims, rocks and edges are many times as bright as all the rest: a coefficient would
+    be theirs alone, and would jump with every one that the next turn takes off the edge.
+    """
+    known = values[mask]
+    if not known.size:
+        return values
+    middle = float(np.median(known))
+    reach = 3.0 * 1.4826 * float(np.median(np.abs(known - middle)))
+    if reach == 0.0:
+        return values
+    limited = np.clip(values, middle - reach, middle + reach)
+    return np.where(mask, limited, 0.0).astype(np.float32)
+
+
 def smooth(values: Layer, mask: Mask, sigma_px: float) -> Layer:
     """Gaussian mean of the known values around each cell."""
     held = np.where(mask, values, 0.0).astype(np.float32)

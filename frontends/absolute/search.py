@@ -21,6 +21,8 @@ Mask = NDArray[np.bool_]
 _PEAK_PIXELS = 4.0
 #: Yaws beside the searched ones that a peak at the edge needs for its curvature.
 _LEAST_YAWS = 3
+#: Yaws on each side of a peak that its paraboloid is fitted to: two more than define it.
+_FITTED_YAWS = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +184,9 @@ def find_peak(volume: Volume, pixel: float = 1.0) -> Peak | None:
     With A the negative curvature of the surface at the peak and G the covariance of the
     surface's gradient away from it (what noise does to the slope), the place errs by
     ``A^-1 G A^-1``. Only the unexplained part of the image is noise at the peak:
-    G is scaled by 1 - value^2.
+    G is scaled by 1 - value^2. What the surface around the peak departs from a paraboloid by is
+    noise of it too, and its share of the gradient's covariance is added to G: a peak among
+    others as high, a few steps of yaw away, is not as sharp as its own curvature says.
     """
     values = volume.values
     if values.size == 0 or not np.isfinite(values).any():
@@ -202,35 +206,50 @@ def find_peak(volume: Volume, pixel: float = 1.0) -> Peak | None:
     yaws, rows, columns = values.shape
     at_edge = i in (0, rows - 1) or j in (0, columns - 1) or (k in (0, yaws - 1) and yaws > 3)
     k0, i0, j0 = (min(max(n, 1), size - 2) for n, size in zip((k, i, j), values.shape, strict=True))
-    offset, curvature = np.zeros(3), np.zeros((3, 3))
+    fit: _Paraboloid | None = None
     if min(values.shape) >= 3:
-        offset, curvature = _quadratic(values[k0 - 1 : k0 + 2, i0 - 1 : i0 + 2, j0 - 1 : j0 + 2])
+        reach = min(_FITTED_YAWS, k0, yaws - 1 - k0)
+        fit = _paraboloid(values[k0 - reach : k0 + reach + 1, i0 - 1 : i0 + 2, j0 - 1 : j0 + 2])
     step = float(volume.yaws_rad[1] - volume.yaws_rad[0]) if yaws > 1 else 1.0
     # cells to map axes: x along columns, y against rows
     to_map = np.diag([volume.grid.cell_m, -volume.grid.cell_m, step])
-    covariance = np.full((3, 3), np.nan)
-    if np.all(np.linalg.eigvalsh(curvature) > 1e-6):
+    offset, covariance = np.zeros(3), np.full((3, 3), np.nan)
+    if fit is not None:
         noise = _gradient_covariance(values, (k0, i0, j0), 2 * own) * (1.0 - value**2)
-        inverse = np.linalg.inv(curvature)
-        covariance = to_map @ inverse @ noise @ inverse @ to_map
+        inverse = np.linalg.inv(fit.curvature)
+        offset = fit.offset
+        covariance = to_map @ inverse @ (noise + fit.noise) @ inverse @ to_map
     x, y = volume.grid.place(np.array(j0 + offset[0]), np.array(i0 + offset[1]))
     yaw = float(volume.yaws_rad[k0] + step * offset[2])
     return Peak(float(x), float(y), yaw, covariance, value, standing, second, at_edge)
 
 
-def _quadratic(block: Layer) -> tuple[FloatArray, FloatArray]:
-    """Peak offset (column, row, yaw; cells) and negative curvature of a 3 x 3 x 3 block."""
-    block = np.where(np.isfinite(block), block, np.nanmin(block))
-    w, v, u = (a.ravel().astype(np.float64) for a in np.mgrid[-1:2, -1:2, -1:2])
-    terms = np.stack([np.ones(27), u, v, w, u * u, v * v, w * w, u * v, u * w, v * w], axis=1)
-    c, *_ = np.linalg.lstsq(terms, block.ravel().astype(np.float64), rcond=None)
-    hessian = np.array(
+@dataclass(frozen=True, slots=True)
+class _Paraboloid:
+    """Peak offset (column, row, yaw; cells), negative curvature, and the gradient's covariance."""
+
+    offset: FloatArray
+    curvature: FloatArray
+    noise: FloatArray
+
+
+def _paraboloid(block: Layer) -> _Paraboloid | None:
+    """Least-squares fit to an odd number of yaws, 3 rows and 3 columns; None without a peak."""
+    half = block.shape[0] // 2
+    block = np.where(np.isfinite(block), block, np.nanmin(block)).astype(np.float64)
+    w, v, u = (a.ravel().astype(np.float64) for a in np.mgrid[-half : half + 1, -1:2, -1:2])
+    terms = np.stack([np.ones(len(u)), u, v, w, u * u, v * v, w * w, u * v, u * w, v * w], axis=1)
+    c, *_ = np.linalg.lstsq(terms, block.ravel(), rcond=None)
+    curvature = -np.array(
         [[2 * c[4], c[7], c[8]], [c[7], 2 * c[5], c[9]], [c[8], c[9], 2 * c[6]]], dtype=np.float64
     )
-    curvature = -hessian
-    if np.all(np.linalg.eigvalsh(curvature) > 1e-6):
-        return np.clip(np.linalg.solve(curvature, c[1:4]), -1.0, 1.0), curvature
-    return np.zeros(3), curvature
+    if not np.all(np.linalg.eigvalsh(curvature) > 1e-6):
+        return None
+    rest = block.ravel() - terms @ c
+    variance = float(rest @ rest) / (len(u) - terms.shape[1])
+    noise = variance * np.linalg.inv(terms.T @ terms)[1:4, 1:4]
+    offset = np.clip(np.linalg.solve(curvature, c[1:4]), -1.0, 1.0)
+    return _Paraboloid(offset, curvature, noise)
 
 
 def _gradient_covariance(values: Layer, peak: tuple[int, int, int], own: int) -> FloatArray:
