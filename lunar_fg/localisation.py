@@ -12,7 +12,14 @@ import numpy as np
 from annotated_types import Gt
 from numpy.typing import NDArray
 
-from frontends.absolute import AbsoluteAdjustment, AbsoluteConfig, Adjustment, Search, make_patch
+from frontends.absolute import (
+    AbsoluteAdjustment,
+    AbsoluteConfig,
+    Adjustment,
+    Search,
+    locate_everywhere,
+    make_patch,
+)
 from frontends.camera import StereoCamera
 from frontends.errors import EstimationError
 from frontends.measurements import (
@@ -61,7 +68,7 @@ class LocalisationConfig:
 
     mapping_step_m: Annotated[float, Gt(0)] = 0.8
     most_sigma_m: Annotated[float, Gt(0)] = 2.0
-    most_window_m: Annotated[float, Gt(0)] = 40.0
+    most_window_m: Annotated[float, Gt(0)] = 80.0
     least_window_m: Annotated[float, Gt(0)] = 3.0
     least_window_deg: Annotated[float, Gt(0)] = 2.0
 
@@ -254,7 +261,12 @@ class Localisation:
             return None
         patch = make_patch(self.terrain, poses, anchor, self.adjustment.cell_m)
         sigma = np.sqrt(np.maximum(np.diag(planar.covariance), 0.0))
-        result = self.adjustment.locate(patch, anchor, self._search(sigma))
+        search = self._search(sigma)
+        if search.half_yaw_rad < math.pi or patch is None:
+            result = self.adjustment.locate(patch, anchor, search)
+        else:
+            coarse = make_patch(self.terrain, poses, anchor, self.adjustment.coarse_cell_m)
+            result = locate_everywhere(self.adjustment, patch, coarse or patch, search)
         self._tried.add(anchor)
         if self.on_attempt is not None:
             self.on_attempt(result)

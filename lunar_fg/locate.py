@@ -94,12 +94,12 @@ def locate(
     for stretch in _stretches({k: poses[k] for k in terrain.frames if k in poses},
                               adjustment.length_m):  # fmt: skip
         anchor = stretch[len(stretch) // 2]
-        patch = make_patch(
-            terrain, {frame: poses[frame] for frame in stretch}, anchor, adjustment.cell_m
-        )
+        own = {frame: poses[frame] for frame in stretch}
+        patch = make_patch(terrain, own, anchor, adjustment.cell_m)
         if everywhere is not None and patch is not None:
             half, yaw = everywhere
-            yield locate_everywhere(adjustment, patch, patch, Search(half, half, yaw))
+            coarse = make_patch(terrain, own, anchor, adjustment.coarse_cell_m)
+            yield locate_everywhere(adjustment, patch, coarse or patch, Search(half, half, yaw))
         else:
             covariance = results.trajectory.covariance
             sigma = np.array([2.0, 2.0, math.radians(1.0)])

@@ -123,6 +123,11 @@ class AbsoluteAdjustment:
         return gsd_m / math.ceil(gsd_m / _COARSEST_CELL_M - 1e-6)
 
     @property
+    def coarse_cell_m(self) -> float:
+        """Cells twice as large, where these still show the relief: a lost rover's are tried so."""
+        return max(self.cell_m, min(2.0 * self.cell_m, _COARSEST_CELL_M))
+
+    @property
     def length_m(self) -> float:
         """Length of drive that a patch should show."""
         return self.config.length_m(self.orbital.gsd_m)

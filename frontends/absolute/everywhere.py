@@ -26,8 +26,8 @@ _NEAR_PIXELS = 24.0
 class EverywhereRelief:
     """`RelitRelief` for windows of hundreds of metres and any yaw.
 
-    The image of the coarser patch alone is tried everywhere; its best places are searched
-    as usual. A place is believed against the best of all the others.
+    The coarser patch is tried everywhere, at every other yaw; its best places are searched as
+    usual. A place is believed against the best of all the others.
 
     Parameters
     ----------
@@ -51,8 +51,8 @@ class EverywhereRelief:
         window = orbital.ortho.window(window_bounds(coarse, search), coarse.grid.cell_m)
         pixel = map_pixel(orbital, coarse)
         channels, anchor = rendered_channels(coarse, window, orbital.sun, pixel)
-        yaws = yaw_steps(search.half_yaw_rad, 0.6 * radius_m(coarse), coarse.grid.cell_m)
-        volume = correlate(channels[:1], yaws, window.grid, anchor)
+        yaws = yaw_steps(search.half_yaw_rad, 0.3 * radius_m(coarse), coarse.grid.cell_m)
+        volume = correlate(channels, yaws, window.grid, anchor)
         step = float(yaws[1] - yaws[0])
         found: list[Proposal] = []
         for x, y, yaw in _best_places(volume, round(_APART_PIXELS * pixel)):
@@ -60,12 +60,13 @@ class EverywhereRelief:
             half = _NEAR_PIXELS * orbital.gsd_m
             near = Search(half, half, 1.5 * step)
             proposal = RelitRelief().propose(moved, orbital, near)
-            if proposal.peak is not None:
+            # at the edge of a close look stands what another one has in its middle
+            if proposal.peak is not None and not proposal.peak.at_edge:
                 peak = replace(
                     proposal.peak, yaw_rad=math.remainder(proposal.peak.yaw_rad + yaw, math.tau)
                 )
                 found.append(replace(proposal, proposer=self.name, peak=peak))
-        return _against_each_other(found, self.name, volume)
+        return _against_each_other(found, self.name, volume, _APART_PIXELS * orbital.gsd_m)
 
 
 def locate_everywhere(
@@ -114,12 +115,18 @@ def _best_places(volume: Volume, apart: int) -> list[tuple[float, float, float]]
     return places
 
 
-def _against_each_other(found: list[Proposal], name: str, volume: Volume) -> Proposal:
-    """The best place, with the best of the others as its second."""
+def _against_each_other(
+    found: list[Proposal], name: str, volume: Volume, apart_m: float
+) -> Proposal:
+    """The best place, with the best of the others as its second; neighbours find the same one."""
     peaks: list[tuple[Peak, Proposal]] = [(p.peak, p) for p in found if p.peak is not None]
     if not peaks:
         return Proposal(name, reason="no place of the map resembles the patch", volume=volume)
     peaks.sort(key=lambda item: -item[0].standing)
     best, proposal = peaks[0]
-    others = [peak.standing for peak, _ in peaks[1:]]
+    others = [
+        peak.standing
+        for peak, _ in peaks[1:]
+        if math.hypot(peak.x_m - best.x_m, peak.y_m - best.y_m) > apart_m
+    ]
     return replace(proposal, peak=replace(best, second=max([best.second, *others])))

@@ -106,6 +106,27 @@ def test_ground_from_before_the_rover_was_carried_is_not_used(world):
     assert smoother.fixes[0].frame >= 24
 
 
+def test_a_carried_rover_is_looked_for_at_any_heading(world):
+    poses = world[3]
+
+    class Lost(Smoother):
+        def predicted(self, frame):
+            pose = self.poses[frame]
+            mean = np.array([*pose[:2, 3], yaw_pitch_roll(pose)[0]])
+            planar = Planar(mean, np.diag([20.0, 20.0, 1.0]) ** 2)
+            return SimpleNamespace(map_T_rover=pose, planar=lambda: planar)
+
+    astray = moved(poses, 11.0, -7.0, 2.4, 0)
+    smoother = Lost(astray)
+    follow(world, dict(list(astray.items())[:22]), smoother)
+    found = [fix for fix in smoother.fixes if fix.candidates]
+    assert found
+    for fix in found:
+        true, best = poses[fix.frame], fix.candidates[0]
+        assert math.hypot(best.x_m - true[0, 3], best.y_m - true[1, 3]) < 0.3
+        assert abs(math.remainder(best.yaw_rad - yaw_pitch_roll(true)[0], math.tau)) < 0.05
+
+
 def test_an_uncertain_rover_tries_earlier(world):
     estimate = world[3]
     unsure = Smoother(estimate, sigma_m=2.5)
