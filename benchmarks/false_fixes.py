@@ -5,7 +5,8 @@ fix of 1 m and 0.02 rad every 10, 100 or 500 m, false ones up to 50 m off. "orac
 product given the true fixes alone. The other ways are GTSAM's ISAM2 over the fix keyframes,
 with the same motions between them, as a user of GTSAM would write it: a robust kernel on each
 fix, or a chi-square gate when it comes. A run has failed when its error is above three times
-the oracle's.
+the oracle's. "oracle gate" is a chi-square gate that knows all true fixes: what it takes for
+true, no gate can tell from true.
 """
 
 from __future__ import annotations
@@ -17,10 +18,12 @@ from time import process_time
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from frontends.measurements import FloatArray, Verdict
+from frontends.measurements import AbsoluteFix, Verdict
 from lunar_fg.graph import IncrementalSmoother
+from lunar_fg.graph.network import Claim, Network
 from lunar_fg.graph.planar import Planar, planar, planar_of, turned, wrapped
 from lunar_fg.simulation.fixes import FixSpec, SimulatedFixes, simulate_fixes
 from lunar_fg.simulation.measurements import (
@@ -29,6 +32,8 @@ from lunar_fg.simulation.measurements import (
     TraverseSpec,
     simulate,
 )
+
+BoolArray = NDArray[np.bool_]
 
 _STEP_M = 2.0
 #: Keyframes of a run, by the metres between fixes.
@@ -63,14 +68,31 @@ class FalseFixes:
     ate_median_m: float
     false_accepted: float
     good_missed: float
+    #: Wrong verdicts when they were given, at the end, and those of them that the oracle gate
+    #: has right.
+    wrong_at_first: int
+    wrong_at_end: int
+    wrong_for_gate: int
     ms_a_fix: float
 
 
 @dataclass(frozen=True)
 class _Result:
     ate_m: float
-    accepted: FloatArray
+    #: When they came, and at the end.
+    at_first: BoolArray
+    accepted: BoolArray
     ms_a_fix: float
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    """One way in one run, beside the oracle and the oracle gate there."""
+
+    result: _Result
+    oracle: _Result
+    gate: _Result
+    true: BoolArray
 
 
 def traverse(sensor: str, every_m: int, seed: int) -> SimulatedTraverse:
@@ -110,11 +132,33 @@ def product_way(
     smoother.finish()
     poses = smoother.trajectory().map_T_rover
     frames = [f.frame for f in fixes.fixes]
-    verdict = {e.frame: e.ruling.verdict is Verdict.ACCEPTED for e in smoother.ledger}
-    accepted = np.array([verdict.get(frame, False) for frame in frames])
+    history = {e.frame: [r.verdict is Verdict.ACCEPTED for r in e.history]
+               for e in smoother.ledger}  # fmt: skip
+    verdicts = [history.get(frame, [False]) for frame in frames]
+    at_first, accepted = (np.array([v[i] for v in verdicts], dtype=bool) for i in (0, -1))
     error = poses[frames, :2, 3] - run.map_T_rover[frames, :2, 3]
     ate = float(np.sqrt((error**2).sum(axis=1).mean()))
-    return _Result(ate, accepted, 1e3 * seconds / max(len(waiting), 1)), smoother
+    return _Result(ate, at_first, accepted, 1e3 * seconds / max(len(waiting), 1)), smoother
+
+
+def oracle_gate(run: SimulatedTraverse, fixes: SimulatedFixes, motions: list[Planar]) -> _Result:
+    """A gate on each fix against the path and all true fixes."""
+    start = planar_of(run.start.map_T_rover, run.start.covariance())
+    network = Network(start, motions, [Claim(i, _seen(f)) for i, f in enumerate(fixes.fixes, 1)])
+    weight = fixes.true.astype(float)
+    path = network.solve(weight, network.dead_reckoned)
+    believed = np.where(fixes.true, np.arange(len(fixes.fixes)), -1)
+    covariance = network.path_covariance(weight, path.xyyaw)
+    accepted = network.distances(path.xyyaw, covariance, believed) <= _GATE
+    path = network.solve(accepted.astype(float), path.xyyaw)
+    truth = np.array([planar(run.map_T_rover[f.frame]) for f in fixes.fixes])
+    error = path.xyyaw[1:, :2] - truth[:, :2]
+    return _Result(float(np.sqrt((error**2).sum(axis=1).mean())), accepted, accepted, 0.0)
+
+
+def _seen(fix: AbsoluteFix) -> Planar:
+    place = fix.candidates[0]
+    return Planar(np.array([place.x_m, place.y_m, place.yaw_rad]), np.asarray(place.covariance))
 
 
 def plain_way(
@@ -137,8 +181,7 @@ def plain_way(
         step = gtsam.Pose2(*motion.xyyaw)
         graph.add(gtsam.BetweenFactorPose2(i - 1, i, step, _noise(motion)))
         values.insert(i, isam.calculateEstimatePose2(i - 1) * step)
-        place = fix.candidates[0]
-        seen = Planar(np.array([place.x_m, place.y_m, place.yaw_rad]), place.covariance)
+        seen = _seen(fix)
         measured.append(seen)
         noise = _noise(seen)
         if kernel is not None:
@@ -162,7 +205,7 @@ def plain_way(
     truth = np.array([planar(run.map_T_rover[f.frame]) for f in fixes.fixes])
     poses = [isam.calculateEstimatePose2(i) for i in range(1, len(motions) + 1)]
     error = np.array([[p.x(), p.y()] for p in poses]) - truth[:, :2]
-    return _Result(float(np.sqrt((error**2).sum(axis=1).mean())), accepted, ms)
+    return _Result(float(np.sqrt((error**2).sum(axis=1).mean())), accepted, accepted, ms)
 
 
 def _noise(place: Planar) -> gtsam.noiseModel.Gaussian:
@@ -188,7 +231,7 @@ def study(
     """All settings, `runs` seeds each; half as many on the longest traverses."""
     rows = []
     for sensor, every_m, (share, clustered) in product(("stereo", "wheels"), spacings, cases):
-        found: dict[str, list[tuple[_Result, _Result, SimulatedFixes]]] = {}
+        found: dict[str, list[_Outcome]] = {}
         for seed in range(runs if every_m < _LONG_M else -(-runs // 2)):
             run = traverse(sensor, every_m, seed)
             spec = FixSpec(every=int(every_m / _STEP_M), false_share=share, clustered=clustered)
@@ -199,8 +242,9 @@ def study(
             results = {name: plain_way(name, run, fixes, motions) for name in KERNELS}
             results["product"] = product_way(run, fixes)[0]
             results["oracle"] = oracle
+            results["oracle gate"] = gate = oracle_gate(run, fixes, motions)
             for name, result in results.items():
-                found.setdefault(name, []).append((result, oracle, fixes))
+                found.setdefault(name, []).append(_Outcome(result, oracle, gate, fixes.true))
         for name, outcomes in found.items():
             rows.append(_row(sensor, every_m, share, clustered, name, outcomes))
             print(row_text(rows[-1]), flush=True)
@@ -213,17 +257,23 @@ def _row(
     share: float,
     clustered: bool,
     way: str,
-    outcomes: list[tuple[_Result, _Result, SimulatedFixes]],
+    outcomes: list[_Outcome],
 ) -> FalseFixes:
-    true = np.concatenate([f.true for _, _, f in outcomes])
-    accepted = np.concatenate([r.accepted for r, _, _ in outcomes])
+    true = np.concatenate([o.true for o in outcomes])
+    accepted = np.concatenate([o.result.accepted for o in outcomes])
+    at_first = np.concatenate([o.result.at_first for o in outcomes])
+    gate = np.concatenate([o.gate.accepted for o in outcomes])
+    wrong = accepted != true
     return FalseFixes(
         sensor, every_m, share, clustered, way, len(outcomes),
-        sum(r.ate_m > FAILED * o.ate_m for r, o, _ in outcomes),
-        float(np.median([r.ate_m for r, _, _ in outcomes])),
+        sum(o.result.ate_m > FAILED * o.oracle.ate_m for o in outcomes),
+        float(np.median([o.result.ate_m for o in outcomes])),
         float(accepted[~true].mean()) if (~true).any() else 0.0,
         float((~accepted[true]).mean()) if true.any() else 0.0,
-        float(np.mean([r.ms_a_fix for r, _, _ in outcomes])),
+        int((at_first != true).sum()),
+        int(wrong.sum()),
+        int((wrong & (gate == true)).sum()),
+        float(np.mean([o.result.ms_a_fix for o in outcomes])),
     )  # fmt: skip
 
 
@@ -233,7 +283,9 @@ def row_text(r: FalseFixes) -> str:
     return (
         f"{r.sensor:7} {r.every_m:4} m  {r.false_share:3.0%} {kind:9}  {r.way:14} "
         f"failed {r.failed:2}/{r.runs}  ATE {r.ate_median_m:7.3f} m  "
-        f"false in {r.false_accepted:5.1%}  good out {r.good_missed:5.1%}  {r.ms_a_fix:6.1f} ms"
+        f"false in {r.false_accepted:5.1%}  good out {r.good_missed:5.1%}  "
+        f"wrong {r.wrong_at_first:3} -> {r.wrong_at_end:3} ({r.wrong_for_gate:3})  "
+        f"{r.ms_a_fix:6.1f} ms"
     )
 
 
