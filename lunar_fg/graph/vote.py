@@ -24,8 +24,9 @@ from itertools import pairwise
 import numpy as np
 
 from frontends.measurements import FloatArray, IntArray
+from lunar_fg.graph import kernels
 from lunar_fg.graph.network import Claim, Network, squared
-from lunar_fg.graph.planar import Planar, carried, mahalanobis_squared, updated
+from lunar_fg.graph.planar import Planar
 from lunar_fg.graph.stories import Refused, stories
 
 _MOST_CHANGES_EACH = 3
@@ -142,23 +143,20 @@ class Vote:
         self._group: IntArray = np.repeat(np.arange(len(sizes)), sizes)
         #: Number of each group's first claim; one more at the end.
         self._first: IntArray = np.concatenate([[0], np.cumsum(sizes)])
+        self._seen: dict[tuple[Choice, ...], _Found] = {}
 
     def decide(self, incumbent: Sequence[Choice]) -> Outcome:
         """Judge all groups; `incumbent` is what was believed until now."""
         kept = [g.allowed(choice) for g, choice in zip(self._groups, incumbent, strict=True)]
         best = self._improved(kept)
-        seen = {best.chosen}
         for start in (self._graduated(), self._gated()):
-            if tuple(start) not in seen:
+            if tuple(start) not in self._seen:
                 best = _cheaper(best, self._improved(start))
-                seen |= {tuple(start), best.chosen}
         for _ in range(_MOST_TURNS):
             before = best
             for story in before.stories:
-                for start in (self._divided(before, story), self._turned(before, story)):
-                    if tuple(start) not in seen:
-                        best = _cheaper(best, self._found(start))
-                        seen.add(tuple(start))
+                best = _cheaper(best, self._found(self._divided(before, story)))
+                best = _cheaper(best, self._found(self._turned(before, story)))
             if best is before:
                 break
         return Outcome(best.chosen, best.solved.distance, best.cost)
@@ -210,22 +208,27 @@ class Vote:
 
     def _gated(self) -> list[Choice]:
         """Believe what passes the gate, one station after the other from the start."""
-        here, at = self._ballot.start, 0
         chosen = [group.allowed(None) for group in self._groups]
-        order = sorted(range(len(chosen)), key=lambda g: _station(self._groups[g]))
+        order = [
+            g
+            for g, group in enumerate(self._groups)
+            if group.claims and all(claim.base is None for claim in group.claims)
+        ]
+        order.sort(key=lambda g: self._groups[g].claims[0].station)
+        claims = (claim.place for group in self._groups for claim in group.claims)
+        places = [self._ballot.start, *self._ballot.motions, *claims]
+        taken = kernels.gated(
+            np.array([place.xyyaw for place in places]),
+            np.array([place.covariance for place in places]),
+            len(self._ballot.motions),
+            np.array(order, dtype=np.int64),
+            self._first,
+            np.array([g.claims[0].station if g.claims else 0 for g in self._groups], np.int64),
+            np.array([-2 if g.forced is None else g.forced for g in self._groups], np.int64),
+            self._barrier,
+        )
         for g in order:
-            group = self._groups[g]
-            if not group.claims or any(claim.base is not None for claim in group.claims):
-                continue
-            while at < _station(group):
-                here, at = carried(here, self._ballot.motions[at]), at + 1
-            if group.forced is None:
-                distance = [mahalanobis_squared(claim.place, here) for claim in group.claims]
-                nearest = int(np.argmin(distance))
-                chosen[g] = nearest if distance[nearest] <= self._barrier else None
-            choice = chosen[g]
-            if choice is not None:
-                here = updated(here, group.claims[choice].place)
+            chosen[g] = int(taken[g]) if taken[g] >= 0 else None
         return chosen
 
     def _graduated(self) -> list[Choice]:
@@ -274,6 +277,12 @@ class Vote:
 
     def _found(self, chosen: Sequence[Choice], solved: _Solved | None = None) -> _Found:
         """Truncated cost in which refused places that agree with each other count once."""
+        found = self._seen.get(tuple(chosen))
+        if found is None:
+            found = self._seen[tuple(chosen)] = self._valued(chosen, solved)
+        return found
+
+    def _valued(self, chosen: Sequence[Choice], solved: _Solved | None) -> _Found:
         solved = solved or self._solve(chosen, self._network.dead_reckoned)
         out = np.array([choice is None for choice in chosen], dtype=bool)
         places = np.zeros(len(chosen), dtype=bool)
@@ -336,7 +345,3 @@ class Vote:
 def _cheaper(best: _Found, other: _Found) -> _Found:
     """The best stays where the other is not better by more than rounding."""
     return other if other.cost < best.cost - 1e-6 else best
-
-
-def _station(group: Group) -> int:
-    return group.claims[0].station if group.claims else 0

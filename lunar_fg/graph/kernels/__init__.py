@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 
+from lunar_fg.graph.kernels.forward import gated
 from lunar_fg.graph.kernels.gate import distances
 from lunar_fg.graph.kernels.motions import add_motions, moved
 from lunar_fg.graph.kernels.network import (
@@ -22,6 +23,7 @@ __all__ = [
     "Terms",
     "add_motions",
     "distances",
+    "gated",
     "inverse_positive",
     "linearise",
     "moved",
@@ -56,3 +58,4 @@ def warm() -> None:
     solve_network(place, terms, 1)
     network_covariance(place, terms)
     network_terms(place, terms)
+    gated(place, noise[:1], 0, here, none, here, here, 1.0)
