@@ -62,12 +62,11 @@ def pairs(folder: Path) -> Iterator[Pair]:
     views = []
     for k, frame in enumerate(dataset.frames()):
         features = perception.perceive(frame)
-        ids = np.arange(len(features)) + 100_000 * k
-        views.append((features, replace(features.observations, landmark_id=ids)))
+        views.append(features.named(np.arange(len(features)) + 100_000 * k))
     true = dataset.ground_truth.map_T_rover
     in_map = true @ dataset.rover_T_camera
     half = len(views) // 2
-    places = [Place.of(k, views[k][1], views[k][0], 300) for k in range(half)]
+    places = [Place.of(k, views[k], 300) for k in range(half)]
     revisiting = Revisiting(dataset.camera, RelativeConfig(false_alarms=1e-6))
     rng = np.random.default_rng(0)
     everything = [(i, j) for i in range(half) for j in range(half + 1, len(views))]
@@ -84,8 +83,7 @@ def pairs(folder: Path) -> Iterator[Pair]:
         expected = inverse(in_map[i]) @ in_map[j] if same else np.eye(4)
         off = SIGMA * rng.standard_normal(6)
         prediction = MotionPrediction(expected @ se3_exp(off), np.diag(SIGMA**2))
-        features, observations = views[j]
-        found = revisiting.measure(places[i], observations, features, prediction)
+        found = revisiting.measure(places[i], views[j], prediction)
         if not (same and found.accepted):
             yield Pair(distance, same, found.accepted)
             continue

@@ -48,6 +48,8 @@ class RefinedDisparities:
     contradicted
         (N,) bool: the patches differ by far more than those of confirmed features do. Most
         such features are wrong matches; others that are not confirmed lack texture.
+    slope
+        (N, 2) change of the disparity along u and along v, px per px; 0 where not confirmed.
     """
 
     disparity_px: FloatArray
@@ -55,6 +57,7 @@ class RefinedDisparities:
     vertical_px: FloatArray
     confirmed: NDArray[np.bool_]
     contradicted: NDArray[np.bool_]
+    slope: FloatArray
 
     def select(self, keep: NDArray[np.bool_]) -> RefinedDisparities:
         """The features at a mask."""
@@ -64,6 +67,7 @@ class RefinedDisparities:
             self.vertical_px[keep],
             self.confirmed[keep],
             self.contradicted[keep],
+            self.slope[keep],
         )
 
 
@@ -102,7 +106,7 @@ def refine_disparities(
     # the kernel's arithmetic knows no NaN: such features are put outside of the image
     unknown = ~np.isfinite(start).all(axis=1) | (np.abs(start) > 1e6).any(axis=1)
     start[unknown] = -1e3
-    result = np.zeros((n, 4))
+    result = np.zeros((n, 6))
     confirmed = np.zeros(n, dtype=np.bool_)
     if min(left.shape) >= SPAN:
         images = np.ascontiguousarray(left), np.ascontiguousarray(right)
@@ -113,6 +117,7 @@ def refine_disparities(
         result[:, 2],
         confirmed,
         _contradicted(result[:, 3], confirmed),
+        np.where(confirmed[:, None], result[:, 4:6], 0.0),
     )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontends.geometry import inverse, transform_points
+from frontends.templates import Templates
 
 FloatArray = NDArray[np.float64]
 
@@ -24,8 +25,12 @@ class LandmarkMemory:
         (N, 3) m, (N, 3, 3) m^2.
     unseen
         (N,) frames since each was last seen.
-    first_depth_m, last_depth_m
-        (N,) how far each was when it was first and last seen.
+    first_depth_m
+        (N,) how far each was when it was first seen.
+    slope
+        (N, 2) change of the disparity in the image where it was last seen, px per px.
+    templates
+        The patches around them.
     """
 
     landmark_id: NDArray[np.int64]
@@ -35,7 +40,8 @@ class LandmarkMemory:
     covariance: FloatArray
     unseen: NDArray[np.int64]
     first_depth_m: FloatArray
-    last_depth_m: FloatArray
+    slope: FloatArray
+    templates: Templates
 
     def __len__(self) -> int:
         return len(self.landmark_id)
@@ -50,7 +56,8 @@ class LandmarkMemory:
             self.covariance[keep],
             self.unseen[keep],
             self.first_depth_m[keep],
-            self.last_depth_m[keep],
+            self.slope[keep],
+            self.templates.select(keep),
         )
 
     def joined(self, other: LandmarkMemory) -> LandmarkMemory:
@@ -63,7 +70,8 @@ class LandmarkMemory:
             np.concatenate([self.covariance, other.covariance]),
             np.concatenate([self.unseen, other.unseen]),
             np.concatenate([self.first_depth_m, other.first_depth_m]),
-            np.concatenate([self.last_depth_m, other.last_depth_m]),
+            np.concatenate([self.slope, other.slope]),
+            self.templates.joined(other.templates),
         )
 
     def carried(

@@ -7,7 +7,7 @@ pose's body frame. ``a_T_b`` maps coordinates of `b` to coordinates of `a`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
 
 import numpy as np
@@ -149,6 +149,13 @@ class StereoObservations:
             self.points_cam[keep],
             self.points_covariance[keep],
         )
+
+    def replaced(self, rows: IntArray, other: StereoObservations) -> StereoObservations:
+        """These observations with others in the place of some rows."""
+        result = self.select(np.arange(len(self)))
+        for part in fields(self):
+            getattr(result, part.name)[rows] = getattr(other, part.name)
+        return result
 
 
 class Verdict(StrEnum):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from frontends.cholesky import factorise, solve
 from frontends.jit import kernel, njit
 from frontends.measurements import Image
 from frontends.patch_sampling import AREA, HALF, MIDDLE, SIDE, SPAN, sample
@@ -138,43 +139,6 @@ def _normal_matrix(WJ: Floats, J: Floats, L: FloatArray) -> None:
     L[4, 4], L[5, 4], L[5, 5] = e4, e5, f5
 
 
-@njit
-def _factorise(J: Floats, grid: Floats, WJ: Floats, L: FloatArray) -> bool:
-    """Weighted Jacobian and the Cholesky factor (inverse diagonal) of the normal matrix."""
-    for a in range(_UNKNOWNS):
-        row = _u64(a * AREA)
-        for k in range(_u64(AREA)):
-            WJ[row + k] = grid[k] * J[row + k]
-    _normal_matrix(WJ, J, L)
-    for a in range(_UNKNOWNS):
-        L[a, a] += _PRIOR[a]
-        least = 1e-6 * L[a, a] + 1e-6
-        for b in range(a + 1):
-            entry = L[a, b]
-            for c in range(b):
-                entry -= L[a, c] * L[b, c]
-            if b < a:
-                L[a, b] = entry * L[b, b]
-            elif entry <= least:
-                return False
-            else:
-                L[a, a] = 1.0 / np.sqrt(entry)
-    return True
-
-
-@njit
-def _solve(L: FloatArray, x: FloatArray) -> None:
-    """Replace x by the solution of the normal equations."""
-    for a in range(_UNKNOWNS):
-        for b in range(a):
-            x[a] -= L[a, b] * x[b]
-        x[a] *= L[a, a]
-    for a in range(_UNKNOWNS - 1, -1, -1):
-        for b in range(a + 1, _UNKNOWNS):
-            x[a] -= L[b, a] * x[b]
-        x[a] *= L[a, a]
-
-
 @kernel
 def refine_all(
     left: Image, right: Image, start: FloatArray, grid: Floats, result: FloatArray,
@@ -182,8 +146,9 @@ def refine_all(
 ) -> None:  # fmt: skip
     """Fill result from start (u, v, disparity, vertical, shift).
 
-    The columns of `result` are disparity, sigma, vertical, and the variance that the model leaves
-    of a pixel of the right image, in grey levels squared (unchanged where it was not fitted).
+    The columns of `result` are disparity, sigma, vertical, the variance that the model leaves of a
+    pixel of the right image, in grey levels squared (unchanged where it was not fitted), and the
+    change of disparity along u and along v, px per px.
     """
     J, WJ = np.ones(_UNKNOWNS * AREA, np.float32), np.empty(_UNKNOWNS * AREA, np.float32)
     R, rows = np.empty(AREA, np.float32), np.zeros(SIDE * SPAN + SIDE, np.float32)
@@ -197,7 +162,12 @@ def refine_all(
         if min(u, v) < 1 or u + SIDE >= width or v + SIDE >= height:
             continue
         mean = _differentiate(left_pixels, width, u, v, grid, J)
-        if not _factorise(J, grid, WJ, L):
+        for a in range(_UNKNOWNS):
+            row = _u64(a * AREA)
+            for k in range(_u64(AREA)):
+                WJ[row + k] = grid[k] * J[row + k]
+        _normal_matrix(WJ, J, L)
+        if not factorise(L, _PRIOR):
             continue
         d, vertical, slope_u, slope_v, gain = start[n, 2], 0.0, 0.0, 0.0, 1.0
         inside, converged, step, unexplained, variance = True, False, 0.0, 0.0, 0.0
@@ -217,7 +187,7 @@ def refine_all(
             moment[2] -= _PRIOR[2] * gain * slope_v
             moment[3] -= _PRIOR[3] * gain * vertical
             x[:] = moment
-            _solve(L, x)
+            solve(L, x)
             unexplained = power
             for a in range(_UNKNOWNS):
                 unexplained -= moment[a] * x[a]
@@ -247,7 +217,7 @@ def refine_all(
         x[2] = (start[n, 1] - v - MIDDLE) / HALF
         d += x[1] * slope_u + x[2] * slope_v
         moment[:] = x
-        _solve(L, x)
+        solve(L, x)
         spread = moment[0] * x[0] + moment[1] * x[1] + moment[2] * x[2]
         # the noise's own gradient is in the normal matrix; it tells nothing of the disparity
         signal = 1.0 - _GRADIENT_NOISE * _WEIGHT * noise * spread
@@ -260,6 +230,7 @@ def refine_all(
         result[n, 0] = d
         result[n, 1] = np.sqrt(variance_d + _MODEL_SIGMA_PX**2)
         result[n, 2] = vertical
+        result[n, 4], result[n, 5] = slope_u / HALF, slope_v / HALF
         confirmed[n] = (
             converged
             and _LEAST_GAIN < gain < _LARGEST_GAIN

@@ -86,9 +86,7 @@ class Place:
     descriptors: NDArray[np.int8]
 
     @classmethod
-    def of(
-        cls, frame: int, observations: StereoObservations, features: StereoFeatures, most: int
-    ) -> Place:
+    def of(cls, frame: int, features: StereoFeatures, most: int) -> Place:
         """Keep the strongest `most` of the nearer landmarks of a frame.
 
         What lies beyond three times the median depth tells how the rover has turned, not where it
@@ -98,11 +96,13 @@ class Place:
         ----------
         frame
             Index of the keyframe.
-        observations, features
-            Its N landmarks with ids, and what describes them, strongest first.
+        features
+            Its N landmarks with ids, strongest first, where they were detected: there they will be
+            found again by their descriptors.
         most
             How many are kept.
         """
+        observations = features.observations
         depth = observations.points_cam[:, 2]
         kept = np.flatnonzero(depth <= _NEARER * np.median(depth))[:most]
         seen = observations.select(kept)
@@ -143,8 +143,8 @@ class Place:
         )
         order = np.argsort(kept)
         kept, rows = kept[order], rows[order]
-        uvd = self.uvd[kept].copy()
-        uvd[:, 2] = observations.disparity_px[rows]
+        seen = observations.select(rows)
+        uvd = np.stack([seen.u_left, seen.v, seen.disparity_px], axis=-1).astype(np.float32)
         return replace(
             self, landmark_id=self.landmark_id[kept], uvd=uvd, sigma_px=self.sigma_px[kept],
             size_px=self.size_px[kept], laplacian=self.laplacian[kept],
@@ -159,7 +159,6 @@ class _Views:
     place: Place
     old: StereoObservations
     descriptors: NDArray[np.float32]
-    observations: StereoObservations
     features: StereoFeatures
 
 
@@ -191,7 +190,6 @@ class Revisiting:
     def measure(
         self,
         place: Place,
-        observations: StereoObservations,
         features: StereoFeatures,
         prediction: MotionPrediction,
     ) -> RelativePose:
@@ -201,14 +199,14 @@ class Revisiting:
         ----------
         place
             The old view.
-        observations, features
-            The new view's N landmarks, and what describes them.
+        features
+            Of the new view.
         prediction
             Motion from old to new as expected.
         """
         old = place.observations(self.camera)
         descriptors = place.descriptors.astype(np.float32) / np.float32(_STEPS)
-        views = _Views(place, old, descriptors, observations, features)
+        views = _Views(place, old, descriptors, features)
         size = place.size_px.astype(np.float64)
         half_px = self._window_px(old, prediction)
         first = self._estimate(views, prediction, half_px, _RATIO)
@@ -235,8 +233,9 @@ class Revisiting:
         old = views.old
         points = old.points_cam[matches.query]
         size = np.maximum(views.place.size_px[matches.query], views.features.size_px[matches.train])
+        seen = views.features.observations.select(matches.train)
         seen = replace(
-            _from_aside(views.observations.select(matches.train), points, size, prediction.a_T_b),
+            _from_aside(seen, points, size, prediction.a_T_b),
             landmark_id=old.landmark_id[matches.query],
         )
         measured = self._positioning.estimate(
@@ -253,7 +252,7 @@ class Revisiting:
     def _match(
         self, views: _Views, prediction: MotionPrediction, half_px: float, ratio: float
     ) -> Matches:
-        camera, old, observations = self.camera, views.old, views.observations
+        camera, old, observations = self.camera, views.old, views.features.observations
         points = transform_points(inverse(prediction.a_T_b), old.points_cam)
         with np.errstate(divide="ignore", invalid="ignore"):
             projected = camera.project(points)

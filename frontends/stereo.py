@@ -18,6 +18,7 @@ from frontends.matching import Matches, SearchWindows, match_in_windows
 from frontends.measurements import StereoFrame, StereoObservations
 from frontends.rectification import RectificationError, observe, within_range
 from frontends.surf import SURF, Keypoints
+from frontends.templates import Templates
 from frontends.vertical_field import ENOUGH_PAIRS, fit_vertical, measure_vertical
 
 FloatArray = NDArray[np.float64]
@@ -54,7 +55,7 @@ class StereoConfig:
     __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
 
     hessian_threshold: Annotated[float, Ge(0)] = 20.0
-    max_keypoints: Annotated[int, Ge(1)] = 1500
+    max_keypoints: Annotated[int, Ge(1)] = 1200
     band_px: Annotated[float, Gt(0)] = 1.5
     near_baselines: Annotated[float, Gt(0)] = 2.0
     max_depth_sigma: Annotated[float, Gt(0), Le(1)] = 0.25
@@ -66,7 +67,7 @@ class StereoConfig:
 
 @dataclass(frozen=True, slots=True)
 class StereoFeatures:
-    """Stereo landmarks of one frame before they are tracked (ids are all -1).
+    """Stereo landmarks of one frame where its features are; ids are -1 until they are tracked.
 
     Attributes
     ----------
@@ -86,6 +87,10 @@ class StereoFeatures:
         How many disparities the refinement confirmed.
     epipolar_sigma_px
         Robust 1-sigma of the vertical residual of the refined pairs.
+    slope
+        (N, 2) change of the disparity along u and along v, px per px; 0 where it is unknown.
+    templates
+        The patches around the landmarks in the left image.
     """
 
     observations: StereoObservations
@@ -96,9 +101,15 @@ class StereoFeatures:
     matches: int
     refined: int
     epipolar_sigma_px: float
+    slope: FloatArray
+    templates: Templates
 
     def __len__(self) -> int:
         return len(self.descriptors)
+
+    def named(self, landmark_id: NDArray[np.int64]) -> StereoFeatures:
+        """The same landmarks with ids."""
+        return replace(self, observations=replace(self.observations, landmark_id=landmark_id))
 
 
 class StereoPerception:
@@ -194,6 +205,8 @@ class StereoPerception:
             len(pairs),
             refined,
             epipolar_sigma,
+            found.slope[keep],
+            Templates.cut(frame.left, left_uv[keep]),
         )
 
     def check_size(self, frame: StereoFrame) -> None:

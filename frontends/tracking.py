@@ -1,24 +1,33 @@
-"""Tracking landmarks from frame to frame (paper, 2.2): search where the motion puts them."""
+"""Tracking landmarks from frame to frame (paper, 2.2): search where the motion puts them.
+
+A landmark is recognised by its descriptor, and then put where the patch around it is found: a
+feature is not detected at quite the same point of the surface again.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
 from numpy.typing import NDArray
 
 from frontends.camera import StereoCamera
+from frontends.foreshortening import surface_warp
 from frontends.landmark_memory import LandmarkMemory
 from frontends.matching import Matches, SearchWindows, match_in_windows
-from frontends.measurements import RelativePose, StereoObservations
+from frontends.measurements import Image, RelativePose, StereoObservations
 from frontends.rectification import observe
 from frontends.relative import MotionPrediction, predicted_points
 from frontends.stereo import StereoFeatures
+from frontends.templates import Templates
 
 FloatArray = NDArray[np.float64]
+
+#: How far from its feature a patch may be found, in sigmas of the feature's place.
+_REACH_SIGMAS = 4.0
 
 
 class Reach(Enum):
@@ -49,6 +58,9 @@ class TrackingConfig:
         share of the feature's size, per square root of the logarithm of the distance.
     surface_slope
         How much of that movement turns into disparity.
+    template_sigma_px
+        1-sigma per axis of a landmark that is found by its patch, beside the noise of the images:
+        the ground is not plane, nor is its light the same from all sides.
     """
 
     __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
@@ -59,6 +71,7 @@ class TrackingConfig:
     ratio: Annotated[float, Gt(0), Le(1)] = 0.85
     scale_change_sigma: Annotated[float, Ge(0)] = 0.08
     surface_slope: Annotated[float, Ge(0)] = 0.2
+    template_sigma_px: Annotated[float, Gt(0)] = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +88,12 @@ class Tracks:
         (M,) rows of the new frame's features.
     first_depth_m
         (M,) how far the landmarks were when they were first seen.
+    slope
+        (M, 2) change of the disparity around the landmarks in the previous frame, px per px.
+    templates
+        The patches around the landmarks, warped as in the previous frame, or as found.
+    followed
+        (M,) bool: found by their patches, not by their features alone.
     """
 
     points_a: FloatArray
@@ -82,9 +101,27 @@ class Tracks:
     observations_b: StereoObservations
     feature: NDArray[np.int64]
     first_depth_m: FloatArray
+    slope: FloatArray
+    templates: Templates
+    followed: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.feature)
+
+    @classmethod
+    def none(cls, features: StereoFeatures) -> Self:
+        """No tracks to some features."""
+        nothing = np.zeros(0, dtype=np.int64)
+        return cls(
+            np.zeros((0, 3)),
+            np.zeros((0, 3, 3)),
+            features.observations.select(nothing),
+            nothing,
+            np.zeros(0),
+            np.zeros((0, 2)),
+            features.templates.select(nothing),
+            np.zeros(0, dtype=np.bool_),
+        )
 
 
 class LandmarkTracker:
@@ -132,14 +169,7 @@ class LandmarkTracker:
         """
         memory = self._memory
         if memory is None or len(memory) == 0 or len(features) == 0:
-            nothing = np.zeros(0, dtype=np.int64)
-            return Tracks(
-                np.zeros((0, 3)),
-                np.zeros((0, 3, 3)),
-                features.observations.select(nothing),
-                nothing,
-                np.zeros(0),
-            )
+            return Tracks.none(features)
         half = self._half_window_px(reach)
         points_b = predicted_points(prediction, memory.points)
         near = np.flatnonzero(points_b[:, 2] > 1e-3)
@@ -158,16 +188,67 @@ class LandmarkTracker:
         )
         chosen = near[matches.query]
         again = seen.select(matches.train)
-        observations = replace(
-            self._noisier(again, memory.last_depth_m[chosen], features.size_px[matches.train]),
-            landmark_id=memory.landmark_id[chosen],
-        )
+        first_depth = memory.first_depth_m[chosen]
         return Tracks(
             memory.points[chosen],
             memory.covariance[chosen],
-            observations,
+            replace(
+                self._found_again(again, first_depth, features.size_px[matches.train]),
+                landmark_id=memory.landmark_id[chosen],
+            ),
             matches.train,
-            memory.first_depth_m[chosen],
+            first_depth,
+            memory.slope[chosen],
+            memory.templates.select(chosen),
+            np.zeros(len(chosen), dtype=np.bool_),
+        )
+
+    def follow(
+        self, image: Image, features: StereoFeatures, tracks: Tracks, relative: RelativePose
+    ) -> Tracks:
+        """Put the tracks that agree with a motion where their patches are found.
+
+        Parameters
+        ----------
+        image
+            (H, W) uint8, the new frame's left one.
+        features, tracks, relative
+            Of the new frame.
+        """
+        rows = np.flatnonzero(_agreeing(tracks, relative))
+        seen, feature = tracks.observations_b.select(rows), tracks.feature[rows]
+        turned = surface_warp(
+            self.camera, relative.a_T_b, tracks.points_a[rows], tracks.slope[rows]
+        )
+        start = np.stack([seen.u_left, seen.v], axis=-1)
+        templates = tracks.templates.select(rows)
+        templates = replace(templates, warp=turned @ templates.warp)
+        found = templates.follow(image, start, _REACH_SIGMAS * seen.sigma_px)
+        agreeing, rows, feature, uv = (
+            rows,
+            rows[found.found],
+            feature[found.found],
+            found.uv[found.found],
+        )
+        moved = uv - start[found.found]
+        disparity = features.observations.disparity_px[feature]
+        disparity = disparity + np.sum(features.slope[feature] * moved, axis=1)
+        followed = observe(
+            self.camera,
+            tracks.observations_b.landmark_id[rows],
+            uv[:, 0],
+            uv[:, 1],
+            disparity,
+            np.hypot(found.sigma_px[found.found], self.config.template_sigma_px),
+            features.observations.sigma_disparity_px[feature],
+        )
+        warp, is_followed = tracks.templates.warp.copy(), tracks.followed.copy()
+        warp[agreeing], is_followed[rows] = found.warp, True
+        return replace(
+            tracks,
+            observations_b=tracks.observations_b.replaced(rows, followed),
+            templates=replace(tracks.templates, warp=warp),
+            followed=is_followed,
         )
 
     def in_view(self, prediction: MotionPrediction) -> int:
@@ -194,41 +275,37 @@ class LandmarkTracker:
         StereoObservations
             All landmarks of the new frame, with ids.
         """
-        seen = features.observations
-        ids = np.full(len(features), -1, dtype=np.int64)
-        first_depth = seen.points_cam[:, 2].copy()
-        holds = np.isin(tracks.observations_b.landmark_id, relative.inlier_ids)
+        holds = np.flatnonzero(_agreeing(tracks, relative))
         tracked = tracks.feature[holds]
-        ids[tracked] = tracks.observations_b.landmark_id[holds]
+        new = self._first_seen(features)
+        seen = new.replaced(tracked, tracks.observations_b.select(holds))
+        first_depth = seen.points_cam[:, 2].copy()
         first_depth[tracked] = tracks.first_depth_m[holds]
-        new = ids < 0
-        ids[new] = self._next_id + np.arange(int(new.sum()))
-        self._next_id += int(new.sum())
-        noisier = self._noisier(seen, first_depth, features.size_px)
-        observations = observe(
-            self.camera,
-            ids,
-            seen.u_left,
-            seen.v,
-            seen.disparity_px,
-            noisier.sigma_px,
-            noisier.sigma_disparity_px,
+        # the patch of the first sighting stays; where it is of no more use, the new one goes on
+        moved = np.stack([seen.u_left, seen.v], -1) - np.stack([new.u_left, new.v], -1)
+        sigma = np.zeros(len(seen))
+        sigma[tracked] = seen.sigma_px[tracked]
+        first = tracks.templates.select(holds)
+        useful = first.useful()
+        templates = features.templates.moved(moved, sigma).replaced(
+            tracked[useful], first.select(useful)
         )
         current = LandmarkMemory(
-            ids,
+            seen.landmark_id,
             features.descriptors,
             features.laplacian,
             seen.points_cam,
             seen.points_covariance,
-            np.zeros(len(ids), dtype=np.int64),
+            np.zeros(len(seen), dtype=np.int64),
             first_depth,
-            seen.points_cam[:, 2],
+            features.slope,
+            templates,
         )
         if self._memory is not None:
-            older = self._memory.carried(relative.a_T_b, ids, self.config.max_unseen)
+            older = self._memory.carried(relative.a_T_b, seen.landmark_id, self.config.max_unseen)
             current = current.joined(older)
         self._memory = current
-        return observations
+        return seen
 
     def skip(self, relative: RelativePose) -> None:
         """Carry the memory over a frame without images."""
@@ -259,17 +336,44 @@ class LandmarkTracker:
         share = self.config.search_fraction if near else self.config.wide_search_fraction
         return share * self.camera.width
 
-    def _noisier(
-        self, seen: StereoObservations, depth_m: FloatArray, size_px: FloatArray
-    ) -> StereoObservations:
-        """Observations with the noise of features that were `depth_m` far once."""
-        change = np.abs(np.log(np.maximum(depth_m, 1e-6) / seen.points_cam[:, 2]))
-        walk = self.config.scale_change_sigma * size_px * np.sqrt(change)
-        return replace(
-            seen,
-            sigma_px=np.hypot(seen.sigma_px, walk),
-            sigma_disparity_px=np.hypot(seen.sigma_disparity_px, self.config.surface_slope * walk),
+    def _first_seen(self, features: StereoFeatures) -> StereoObservations:
+        """Features as new landmarks, each at the point that its patch defines."""
+        seen = features.observations
+        ids = self._next_id + np.arange(len(seen))
+        self._next_id += len(seen)
+        return observe(
+            self.camera,
+            ids,
+            seen.u_left,
+            seen.v,
+            seen.disparity_px,
+            np.minimum(seen.sigma_px, self.config.template_sigma_px),
+            seen.sigma_disparity_px,
         )
+
+    def _found_again(
+        self, seen: StereoObservations, first_depth_m: FloatArray, size_px: FloatArray
+    ) -> StereoObservations:
+        """Features as landmarks first seen at a depth.
+
+        They have the noise of both detections, and of the walk over the surface in between.
+        """
+        change = np.abs(np.log(np.maximum(first_depth_m, 1e-6) / seen.points_cam[:, 2]))
+        walk = self.config.scale_change_sigma * size_px * np.sqrt(change)
+        return observe(
+            self.camera,
+            seen.landmark_id,
+            seen.u_left,
+            seen.v,
+            seen.disparity_px,
+            np.hypot(np.sqrt(2.0) * seen.sigma_px, walk),
+            np.hypot(seen.sigma_disparity_px, self.config.surface_slope * walk),
+        )
+
+
+def _agreeing(tracks: Tracks, relative: RelativePose) -> NDArray[np.bool_]:
+    """Which tracks agree with a motion, (M,)."""
+    return np.isin(tracks.observations_b.landmark_id, relative.inlier_ids)
 
 
 def common_landmarks(

@@ -12,11 +12,13 @@ import numpy as np
 from frontends.disparity_check import DisparityFinding
 from frontends.landmark_memory import LandmarkMemory
 from frontends.rectification import RectificationError
+from frontends.templates import Templates
 
 _MEMORY = (
     "landmark_id", "descriptors", "laplacian", "points", "covariance", "unseen",
-    "first_depth_m", "last_depth_m",
+    "first_depth_m", "slope",
 )  # fmt: skip
+_TEMPLATES = ("pixels", "offset", "warp", "sigma_px")
 _FINDING = ("field_px", "border_px", "border_sigma_px", "chance", "significant", "pairs")
 
 
@@ -59,6 +61,7 @@ class Checkpoint:
         }
         for group, names, part in (
             ("memory", _MEMORY, self.memory),
+            ("templates", _TEMPLATES, None if self.memory is None else self.memory.templates),
             ("finding", _FINDING, self.finding),
         ):
             if part is not None:
@@ -89,7 +92,9 @@ class Checkpoint:
             left, right = np.split(arrays["images"], 2)
             images = left.tobytes(), right.tobytes()
         if "memory_landmark_id" in arrays:
-            memory = LandmarkMemory(*(arrays[f"memory_{name}"] for name in _MEMORY))
+            templates = Templates(*(arrays[f"templates_{name}"] for name in _TEMPLATES))
+            parts = {name: arrays[f"memory_{name}"] for name in _MEMORY}
+            memory = LandmarkMemory(**parts, templates=templates)
         if "finding_pairs" in arrays:
             finding = DisparityFinding(
                 arrays["finding_field_px"],

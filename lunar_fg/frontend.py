@@ -108,10 +108,11 @@ class Frontend:
             now = Refound(possible, relative.agreeing)
             carried = not relative.accepted and other_ground(self._refound, now)
             self._refound = now if relative.accepted else None
+            tracks, relative = self._follow(frame, features, tracks, relative)
             standing = zero_motion(relative)
             if standing is None:
                 observations = self._tracker.commit(features, tracks, relative)
-                self.features = features
+                self.features = features.named(observations.landmark_id)
             else:
                 observations, relative = None, standing
             report, unusable = _report(features, relative), ""
@@ -237,6 +238,21 @@ class Frontend:
                 break
         assert best is not None
         return best
+
+    def _follow(
+        self, frame: StereoFrame, features: StereoFeatures, tracks: Tracks, relative: RelativePose
+    ) -> tuple[Tracks, RelativePose]:
+        """Put the landmarks where their patches are, and position once more."""
+        if not relative.accepted:
+            return tracks, relative
+        with self._stopwatch.stage("tracking"):
+            tracks = self._tracker.follow(frame.left, features, tracks, relative)
+        with self._stopwatch.stage("relative pose"):
+            start = MotionPrediction(relative.a_T_b, relative.covariance)
+            again = self.positioning.refine(
+                tracks.points_a, tracks.covariance_a, tracks.observations_b, start
+            )
+        return tracks, again if again.accepted else relative
 
 
 def _report(features: StereoFeatures, relative: RelativePose) -> FrameReport:

@@ -39,7 +39,7 @@ from lunar_fg.log_rows import (
 )
 from lunar_fg.record import FrameRecord
 
-SCHEMA_VERSION = 8
+SCHEMA_VERSION = 9
 
 
 class TraverseLog:

@@ -170,7 +170,7 @@ class LoopClosing:
             return None
         if not self._is_far(planar(estimate.map_T_rover)):
             return None
-        place = Place.of(keyframe.index, observations, features, _MOST_LANDMARKS)
+        place = Place.of(keyframe.index, features, _MOST_LANDMARKS)
         depths = place.observations(self._camera).points_cam[:, 2]
         self._keep(place, estimate, self._reach_m(depths))
         return place
@@ -224,7 +224,7 @@ class LoopClosing:
             if shared or not self._may_see(motion, reach_m):
                 continue
             prediction = motion.in_frames(inverse(self._rover_T_camera))
-            measured = self._revisiting.measure(place, observations, features, prediction)
+            measured = self._revisiting.measure(place, features, prediction)
             if not measured.accepted:
                 continue
             closed = measured.in_frames(self._rover_T_camera)

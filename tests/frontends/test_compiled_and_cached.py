@@ -17,7 +17,7 @@ left, right = np.ascontiguousarray(wide[:, 10:210]), np.ascontiguousarray(wide[:
 zero = np.zeros(100)
 start = np.stack([rng.uniform(40, 160, 100), rng.uniform(30, 90, 100),
                   rng.normal(-7.0, 0.3, 100), zero, zero + 1.0], axis=1)
-result, confirmed = np.zeros((100, 3)), np.zeros(100, dtype=np.bool_)
+result, confirmed = np.zeros((100, 6)), np.zeros(100, dtype=np.bool_)
 refine_all(left, right, start, PATCH, result, confirmed)
 assert confirmed.sum() > 50
 print(hashlib.md5(result.tobytes()).hexdigest(), sum(refine_all.stats.cache_hits.values()))

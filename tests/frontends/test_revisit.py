@@ -23,16 +23,15 @@ SIGMA_ROT, SIGMA_TRANS = 0.02, 0.15
 
 
 def view(map_T_rover, index, scene=None):
-    """Landmarks with ids, and what describes them."""
+    """Landmarks with ids."""
     perception = StereoPerception(CAMERA)
     features = perception.perceive((scene or Scene()).frame(map_T_rover @ MOUNT, index))
-    ids = 1000 * index + np.arange(len(features))
-    return replace(features.observations, landmark_id=ids), features
+    return features.named(1000 * index + np.arange(len(features)))
 
 
 @pytest.fixture(scope="module")
 def old():
-    return Place.of(0, *view(np.eye(4), 0), 300)
+    return Place.of(0, view(np.eye(4), 0), 300)
 
 
 def prediction(a_T_b, seed):
@@ -50,11 +49,9 @@ def again(request, old):
     """Measured motions and the truth, some under less contrast than the old view had."""
     found = []
     for k, map_T_rover in enumerate(LATER):
-        observations, features = view(map_T_rover, k + 1, request.param)
+        features = view(map_T_rover, k + 1, request.param)
         true = in_cameras(map_T_rover)
-        measured = Revisiting(CAMERA, STRICT).measure(
-            old, observations, features, prediction(true, k)
-        )
+        measured = Revisiting(CAMERA, STRICT).measure(old, features, prediction(true, k))
         found.append((measured, true))
     return found
 
@@ -76,26 +73,25 @@ def test_its_covariance_holds_the_error(again):
 def test_an_unknown_place_is_refused(old):
     """Views of other ground, whatever the prediction says."""
     for k, x in enumerate(np.linspace(5.0, 11.0, 12)):
-        observations, features = view(pose(np.eye(3), [x, 3.0, 0.0]), 10 + k)
-        measured = Revisiting(CAMERA, STRICT).measure(
-            old, observations, features, prediction(np.eye(4), k)
-        )
+        features = view(pose(np.eye(3), [x, 3.0, 0.0]), 10 + k)
+        measured = Revisiting(CAMERA, STRICT).measure(old, features, prediction(np.eye(4), k))
         assert not measured.accepted
         assert measured.reason
 
 
 def test_far_landmarks_are_left_out():
     """They tell how the rover has turned, but not where it is."""
-    observations, features = view(np.eye(4), 0)
-    place = Place.of(0, observations, features, 10_000)
+    features = view(np.eye(4), 0)
+    place = Place.of(0, features, 10_000)
     depth = place.observations(CAMERA).points_cam[:, 2]
-    seen = observations.points_cam[:, 2]
+    seen = features.observations.points_cam[:, 2]
     assert depth.max() <= 3.0 * np.median(seen) + 1e-6
     assert len(place) == np.sum(seen <= 3.0 * np.median(seen))
 
 
 def test_a_place_is_small_and_says_what_was_seen(old):
-    observations, features = view(np.eye(4), 0)
+    features = view(np.eye(4), 0)
+    observations = features.observations
     kept = old.observations(CAMERA)
     _, mine, theirs = np.intersect1d(
         kept.landmark_id, observations.landmark_id, return_indices=True
@@ -110,7 +106,7 @@ def test_a_place_is_small_and_says_what_was_seen(old):
 
 
 def test_a_correction_of_disparities_reaches_the_place(old):
-    observations, _ = view(np.eye(4), 0)
+    observations = view(np.eye(4), 0).observations
     nearer = replace(observations, u_right=observations.u_right - 0.5)
     kept = nearer.select(np.arange(0, len(nearer), 2))
     corrected = old.corrected(kept)

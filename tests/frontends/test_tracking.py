@@ -4,15 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic import CAMERA, arc, rover_T_camera, sequence
+from synthetic import CAMERA, Scene, arc, rover_T_camera, sequence
 
-from frontends.geometry import inverse, se3_exp
+from frontends.geometry import inverse, se3_exp, transform_points
 from frontends.measurements import RelativePose, Verdict
 from frontends.rectification import observe
 from frontends.relative import MotionPrediction
 from frontends.stereo import StereoFeatures, StereoPerception
+from frontends.templates import Templates
 from frontends.tracking import LandmarkTracker, Reach, TrackingConfig, common_landmarks
 
+NOTHING = np.zeros((CAMERA.height, CAMERA.width), np.uint8)
 NO_MOTION = MotionPrediction(np.eye(4), 1e-4 * np.eye(6))
 
 
@@ -40,6 +42,8 @@ def features(which, shift=(0.0, 0.0)):
         len(which),
         len(which),
         0.1,
+        np.zeros((len(which), 2)),
+        Templates.cut(NOTHING, np.stack([u, v], axis=-1)),
     )  # fmt: skip
 
 
@@ -222,12 +226,64 @@ def approached(found, by):
 def test_noise_grows_with_the_approach_since_the_first_sighting():
     """A random walk: the variance is that of all steps together, whatever their number."""
     tracker, config = LandmarkTracker(CAMERA), TrackingConfig()
-    step(tracker, features(range(50)))
+    _, first = step(tracker, features(range(50)))
+    # the patch defines the landmark's point: its first detection errs by nothing
+    np.testing.assert_array_equal(first.sigma_px, config.template_sigma_px)
     step(tracker, approached(features(range(50)), 1.2))
-    tracks, seen = step(tracker, approached(features(range(50)), 1.5))
+    _, seen = step(tracker, approached(features(range(50)), 1.5))
     walk = config.scale_change_sigma * 15.0
-    expected = np.hypot(0.2, walk * np.sqrt(np.log(1.5)))
+    expected = np.hypot(np.sqrt(2.0) * 0.2, walk * np.sqrt(np.log(1.5)))
     np.testing.assert_allclose(seen.sigma_px, expected, rtol=1e-6)
-    # the motion since the last frame knows where the feature was then
-    since = np.hypot(0.2, walk * np.sqrt(np.log(1.5 / 1.2)))
-    np.testing.assert_allclose(tracks.observations_b.sigma_px, since, rtol=1e-6)
+
+
+def driven(poses, follow):
+    """Observations of a rendered drive, and how wrong its landmarks' places are, in sigmas.
+
+    The true motions are given. A landmark is where its first sighting says, exactly: how far it
+    goes astray after that is the tracking's error.
+    """
+    mount = rover_T_camera()
+    perception, tracker = StereoPerception(CAMERA), LandmarkTracker(CAMERA)
+    scene, first, errors = Scene(), {}, []
+    for k, frame in enumerate(sequence(poses)):
+        a_T_b = np.eye(4) if k == 0 else inverse(mount) @ inverse(poses[k - 1]) @ poses[k] @ mount
+        found = perception.perceive(frame)
+        truth = MotionPrediction(a_T_b, 1e-6 * np.eye(6))
+        tracks = tracker.associate(found, truth)
+        motion = accept(tracks, prediction=truth)
+        if follow:
+            tracks = tracker.follow(frame.left, found, tracks, motion)
+        held = tracks.observations_b
+        camera = poses[k] @ mount
+        for row, name in enumerate(held.landmark_id):
+            u, _, v = CAMERA.project(transform_points(inverse(camera), first[name][None]))[0]
+            off = np.hypot(held.u_left[row] - u, held.v[row] - v)
+            errors.append((off, held.sigma_px[row], tracks.followed[row] or not follow))
+        seen = tracker.commit(found, tracks, motion)
+        depth = scene.depth(camera, seen.u_left, seen.v)
+        points = CAMERA.triangulate(seen.u_left, seen.v, CAMERA.fx * CAMERA.baseline_m / depth)
+        for name, point in zip(seen.landmark_id, transform_points(camera, points), strict=True):
+            first.setdefault(name, point)
+    return np.array(errors)
+
+
+def test_landmarks_stay_where_their_patches_are():
+    poses = arc(8)
+    plain, followed = driven(poses, follow=False), driven(poses, follow=True)
+    off, sigma, by_patch = followed.T
+    by_patch = by_patch.astype(bool)
+    assert by_patch.mean() > 0.5
+    assert np.median(off[by_patch]) < 0.4 * np.median(plain[:, 0])
+    # two axes: the median of a Rayleigh distribution is at 1.18 sigma
+    assert 0.2 < np.median(off[by_patch] / sigma[by_patch]) < 1.4
+    assert np.mean(off[by_patch] > 5.0 * sigma[by_patch]) < 0.05
+
+
+def test_nothing_is_followed_without_a_motion_that_tracks_agree_with():
+    tracker = LandmarkTracker(CAMERA)
+    step(tracker, features(range(50)))
+    found = features(range(50))
+    tracks = tracker.associate(found, NO_MOTION)
+    same = tracker.follow(NOTHING, found, tracks, accept(tracks, keep=slice(0, 0)))
+    assert not same.followed.any()
+    np.testing.assert_array_equal(same.observations_b.u_left, tracks.observations_b.u_left)

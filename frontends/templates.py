@@ -1,0 +1,156 @@
+"""The patch around a landmark as it was first seen, followed into later images.
+
+A feature that is detected anew in each image walks over the surface as the rover comes nearer;
+the patch around it does not. With p from the patch's middle,
+
+    image(A p + c) = gain * template(p) + bias,
+
+least squares for the position c, the affine warp A, gain and bias, with the Jacobian taken from
+the template (inverse compositional Gauss-Newton, Baker and Matthews 2004). It starts from the
+detected feature and from the warp of the last sighting times the change of distance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frontends.measurements import Image
+from frontends.patch_alignment import PATCH
+from frontends.patch_sampling import MIDDLE
+from frontends.template_alignment import TEMPLATE_SIDE, cut_all, follow_all
+
+FloatArray = NDArray[np.float64]
+
+#: A patch serves while the image shows it by no more than this larger or smaller.
+_LARGEST_STRETCH = 1.5
+
+
+@dataclass(frozen=True, slots=True)
+class Templates:
+    """Patches of N landmarks.
+
+    Attributes
+    ----------
+    pixels
+        (N, 324) uint8, 18 x 18 of the image where each was first seen.
+    offset
+        (N, 2) the landmark from the middle of its patch, px.
+    warp
+        (N, 2, 2) from the patch to the image where it was last seen, px per px.
+    sigma_px
+        (N,) 1-sigma of the landmark's place in the patch: 0 where the patch defines it.
+    """
+
+    pixels: NDArray[np.uint8]
+    offset: FloatArray
+    warp: FloatArray
+    sigma_px: FloatArray
+
+    @classmethod
+    def cut(cls, image: Image, uv: FloatArray) -> Self:
+        """Patches around features at (N, 2) px, moved to lie within the image (H, W) uint8."""
+        n = len(uv)
+        if min(image.shape) < TEMPLATE_SIDE:
+            image = np.zeros((TEMPLATE_SIDE, TEMPLATE_SIDE), np.uint8)  # nothing to be followed
+        corner = np.floor(uv + 0.5 - MIDDLE).astype(np.int64) - 1
+        corner = np.clip(corner, 0, np.array(image.shape[::-1]) - TEMPLATE_SIDE)
+        pixels = np.empty((n, TEMPLATE_SIDE**2), np.uint8)
+        cut_all(np.ascontiguousarray(image), corner, pixels)
+        return cls(
+            pixels,
+            uv - (corner + 1 + MIDDLE),
+            np.tile(np.eye(2), (n, 1, 1)),
+            np.zeros(n),
+        )
+
+    def __len__(self) -> int:
+        return len(self.sigma_px)
+
+    def select(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> Templates:
+        """The patches at a mask or an index array."""
+        return Templates(self.pixels[keep], self.offset[keep], self.warp[keep], self.sigma_px[keep])
+
+    def joined(self, other: Templates) -> Templates:
+        """These patches and those."""
+        return Templates(
+            np.concatenate([self.pixels, other.pixels]),
+            np.concatenate([self.offset, other.offset]),
+            np.concatenate([self.warp, other.warp]),
+            np.concatenate([self.sigma_px, other.sigma_px]),
+        )
+
+    def replaced(self, rows: NDArray[np.int64], other: Templates) -> Templates:
+        """These patches with others in the place of some rows."""
+        result = self.select(np.arange(len(self)))
+        for part in fields(self):
+            getattr(result, part.name)[rows] = getattr(other, part.name)
+        return result
+
+    def moved(self, shift: FloatArray, sigma_px: FloatArray) -> Templates:
+        """The same patches for landmarks (N, 2) px beside the ones they were cut for.
+
+        Parameters
+        ----------
+        shift
+            In the image they were cut from.
+        sigma_px
+            (N,) how well the landmarks' places in the patches are known.
+        """
+        return replace(self, offset=self.offset + shift, sigma_px=sigma_px)
+
+    def useful(self) -> NDArray[np.bool_]:
+        """Which are not stretched so much by now that they would alias, (N,)."""
+        stretch2 = np.abs(np.linalg.det(self.warp))
+        return np.asarray((stretch2 < _LARGEST_STRETCH**2) & (stretch2 > _LARGEST_STRETCH**-2))
+
+    def follow(self, image: Image, start: FloatArray, reach_px: FloatArray) -> Followed:
+        """Find the landmarks in a later image.
+
+        Parameters
+        ----------
+        image
+            (H, W) uint8.
+        start
+            (N, 2) where they are expected, px.
+        reach_px
+            (N,) how far from there they may be found.
+        """
+        n = len(self)
+        warp, result, found = self.warp.copy(), np.zeros((n, 3)), np.zeros(n, dtype=np.bool_)
+        pixels, offset = np.ascontiguousarray(self.pixels), np.ascontiguousarray(self.offset)
+        follow_all(
+            np.ascontiguousarray(image), pixels, offset, np.ascontiguousarray(start), warp,
+            np.ascontiguousarray(reach_px), PATCH, result, found,
+        )  # fmt: skip
+        return Followed(
+            np.where(found[:, None], result[:, :2], start),
+            np.where(found, np.hypot(result[:, 2], self.sigma_px), np.inf),
+            warp,
+            found,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Followed:
+    """Landmarks looked for in a later image; those not found stay where they were expected.
+
+    Attributes
+    ----------
+    uv
+        (N, 2) px.
+    sigma_px
+        (N,) 1-sigma per axis beside the place where each was first seen; infinite where not found.
+    warp
+        (N, 2, 2) from the patch to the image.
+    found
+        (N,) bool.
+    """
+
+    uv: FloatArray
+    sigma_px: FloatArray
+    warp: FloatArray
+    found: NDArray[np.bool_]
