@@ -151,12 +151,15 @@ def test_a_checkpoint_comes_back_bit_for_bit() -> None:
     from frontends.disparity_check import DisparityFinding
     from frontends.landmark_memory import LandmarkMemory
     from frontends.rectification import RectificationError
+    from frontends.templates import Templates
 
     rng = np.random.default_rng(0)
+    image = rng.integers(0, 255, (60, 80)).astype(np.uint8)
+    templates = Templates.cut(image, rng.uniform(20.0, 40.0, (5, 2)))
     memory = LandmarkMemory(
         np.arange(5), rng.random((5, 64), dtype=np.float32), np.ones(5, np.int8),
         rng.random((5, 3)), rng.random((5, 3, 3)), np.zeros(5, np.int64),
-        rng.random(5), rng.random(5),
+        rng.random(5), rng.random((5, 2)), templates,
     )  # fmt: skip
     finding = DisparityFinding(rng.random(3), rng.random(3), rng.random(3), 1e-7, True, 31)
     rectification = RectificationError(rng.random(6), rng.random(3))
@@ -167,6 +170,7 @@ def test_a_checkpoint_comes_back_bit_for_bit() -> None:
     assert after.to_bytes() == before.to_bytes()
     np.testing.assert_array_equal(after.memory.descriptors, memory.descriptors)
     assert after.memory.descriptors.dtype == np.float32
+    np.testing.assert_array_equal(after.memory.templates.pixels, templates.pixels)
     assert (after.images, after.watching, after.corrected) == (before.images, False, True)
     assert after.finding.pairs == 31
     assert Checkpoint.from_bytes(Checkpoint().to_bytes()).memory is None
