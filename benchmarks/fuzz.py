@@ -27,10 +27,16 @@ import numpy as np
 
 from frontends.errors import LunarFgError
 from lunar_fg import runs
+from lunar_fg.campaign.results import Results
 from lunar_fg.campaign.study import read_study
+from lunar_fg.campaign.trial import Outcome
 from lunar_fg.config import Config, read_config
 from lunar_fg.datasets import open_dataset
+from lunar_fg.datasets.pds_label import read_label
 from lunar_fg.evaluation import evaluate
+from lunar_fg.export import export_g2o
+from lunar_fg.pose_graph import read_g2o
+from lunar_fg.route_file import read_route
 from lunar_fg.run_folder import RunFolder
 from lunar_fg.simulation.cache import cached_dataset
 from lunar_fg.simulation.spec import checked_spec
@@ -65,6 +71,71 @@ def compare_files(folder: Path) -> None:
     evaluate(read_trajectory(folder / "trajectory.tum"), read_track(folder / "ground_truth.tum"))
 
 
+LABEL = """PDS_VERSION_ID = PDS3
+RECORD_TYPE = FIXED_LENGTH
+RECORD_BYTES = 4096
+FILE_RECORDS = 9
+LABEL_RECORDS = 1
+^IMAGE = 2
+INSTRUMENT_ID = "NAVCAM_LEFT"
+FRAME_ID = "LEFT"
+PLANET_DAY_NUMBER = 12
+ROVER_MOTION_COUNTER = (3,0,0,1,2)
+SPACECRAFT_CLOCK_START_COUNT = "128278506.123"
+GEOMETRY_PROJECTION_TYPE = RAW
+GROUP = GEOMETRIC_CAMERA_MODEL
+ MODEL_TYPE = CAHV
+ MODEL_COMPONENT_1 = (0.7,-0.1,-1.5)
+ MODEL_COMPONENT_2 = (0.94,0.0,0.34)
+ MODEL_COMPONENT_3 = (60.0,128.0,21.0)
+ MODEL_COMPONENT_4 = (16.0,0.0,145.0)
+END_GROUP = GEOMETRIC_CAMERA_MODEL
+GROUP = ROVER_COORDINATE_SYSTEM
+ ORIGIN_OFFSET_VECTOR = (0.0,0.0,0.0)
+ ORIGIN_ROTATION_QUATERNION = (1.0,0.0,0.0,0.0)
+ QUATERNION_MEASUREMENT_METHOD = FINE
+END_GROUP = ROVER_COORDINATE_SYSTEM
+OBJECT = IMAGE
+ LINES = 128
+ LINE_SAMPLES = 128
+ SAMPLE_TYPE = MSB_INTEGER
+ SAMPLE_BITS = 16
+ BANDS = 1
+ SAMPLE_BIT_MASK = 2#0000111111111111#
+END_OBJECT = IMAGE
+END
+"""
+ROUTE = {
+    "type": "Feature",
+    "crs": {"type": "name", "properties": {"name": "map"}},
+    "properties": {"name": "fuzzed", "half_width_m": 1.5},
+    "geometry": {"type": "LineString", "coordinates": [[0.0, 0.0], [2.0, 0.1], [4.0, 0.0]]},
+}
+
+
+def run_kitti(folder: Path) -> None:
+    runs.run(open_dataset(folder / "kitti"), RunFolder.create(folder.parent / "out", Config()))
+
+
+def write_others(folder: Path, dataset: Path, run: Path) -> None:
+    """Files of the other formats that are read."""
+    kitti = folder / "kitti"
+    for side, name in (("left", "image_0"), ("right", "image_1")):
+        (kitti / name).mkdir(parents=True)
+        for number, image in enumerate(sorted((dataset / side).glob("*.png"))[:4]):
+            shutil.copy(image, kitti / name / f"{number:06d}.png")
+    rows = (f"140 0 79.5 {x} 0 140 79.5 0 0 0 1 0" for x in (0, -42, 3, -39))
+    (kitti / "calib.txt").write_text("".join(f"P{i}: {row}\n" for i, row in enumerate(rows)))
+    (kitti / "poses.txt").write_text(
+        "".join(f"1 0 0 0 0 1 0 0 0 0 1 {0.4 * k}\n" for k in range(4))
+    )
+    export_g2o(RunFolder.open(run), folder / "graph.g2o")
+    (folder / "route.geojson").write_text(json.dumps(ROUTE, indent=1))
+    (folder / "label.img").write_bytes(LABEL.encode().ljust(4096) + bytes(2 * 128 * 128))
+    for number in range(3):
+        Results(folder).append(Outcome(number, number, "fuzzed", warnings=("none",)))
+
+
 WORDS = (b"nan", b"-1", b"1e308", b"99999999999", b"0", b"\n", b",", b"'", b"{", b"\x00")
 
 #: What is spoiled, in which of the two folders, and what then reads it.
@@ -79,8 +150,24 @@ TARGETS: dict[str, tuple[str, str, Callable[[Path], object]]] = {
     "log (SQLite)": ("run", "run.db", use_log),
     "trajectory.tum": ("run", "trajectory.tum", compare_files),
     "config.yaml": ("run", "config.yaml", lambda folder: read_config(folder / "config.yaml")),
+    "head of a map (GeoTIFF)": ("dataset", "orbital/*.tif", run_dataset),
+    "head of an image (PNG)": ("dataset", "left/*.png", run_dataset),
+    "KITTI calib.txt": ("others", "kitti/calib.txt", run_kitti),
+    "KITTI poses.txt": ("others", "kitti/poses.txt", run_kitti),
+    "PDS label": ("others", "label.img", lambda folder: read_label(folder / "label.img")),
+    "pose graph (g2o)": ("others", "graph.g2o", lambda folder: read_g2o(folder / "graph.g2o")),
+    "route (GeoJSON)": (
+        "others",
+        "route.geojson",
+        lambda folder: read_route(folder / "route.geojson"),
+    ),
+    "campaign's results.jsonl": ("others", "results.jsonl", lambda folder: Results(folder).read()),
     "study.yaml": ("run", "study.yaml", lambda folder: read_study(folder / "study.yaml").trials()),
 }
+
+
+#: Where only the head is spoiled, so many bytes of it: random ones mostly hit the pixels.
+HEAD_BYTES = 512
 
 
 def spoil(data: bytes, rng: np.random.Generator) -> bytes:
@@ -147,6 +234,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", nargs="*", help="targets; all by default")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     warmup()
@@ -160,18 +248,31 @@ def main() -> None:
         )
         assert first[0] == "ran", first
         (sound / "study.yaml").write_text(STUDY)
-        sources = {"dataset": dataset, "run": sound}
-        counts: dict[str, Counter[str]] = {target: Counter() for target in TARGETS}
+        write_others(scratch / "others", dataset, sound)
+        sources = {"dataset": dataset, "run": sound, "others": scratch / "others"}
+        counts: dict[str, Counter[str]] = {
+            target: Counter() for target in arguments.only or TARGETS
+        }
         findings = []
+        for target in counts:  # what is not spoiled is read
+            source, _, use = TARGETS[target]
+            outcome = attempt(use, Path(shutil.copytree(sources[source], scratch / "try" / source)))
+            assert outcome[0] == "ran", (target, outcome)
+            shutil.rmtree(scratch / "try")
         seed = arguments.seed
         while time.monotonic() - begin < 60.0 * arguments.minutes:
             rng = np.random.default_rng(seed)
-            target = list(TARGETS)[seed % len(TARGETS)]
+            names = arguments.only or list(TARGETS)
+            target = names[seed % len(names)]
             source, pattern, use = TARGETS[target]
             copy = Path(shutil.copytree(sources[source], scratch / "try" / source))
             paths = sorted(copy.glob(pattern))
             path = paths[int(rng.integers(len(paths)))]
-            path.write_bytes(spoil(path.read_bytes(), rng))
+            content = path.read_bytes()
+            head = HEAD_BYTES if target.startswith("head of") else len(content)
+            if target == "PDS label":
+                head = len(LABEL)
+            path.write_bytes(spoil(content[:head], rng) + content[head:])
             outcome, text = attempt(use, copy)
             counts[target][outcome] += 1
             if outcome not in ("ran", "named"):

@@ -74,12 +74,12 @@ class Results:
             lines.write(json.dumps(asdict(outcome)).encode() + b"\n")
 
     def read(self) -> list[Outcome]:
-        """Read all outcomes so far, by number; a line cut off by an interruption is left out."""
+        """Read all outcomes so far, by number; a line that an interruption spoiled is left out."""
         path = self.path / _LINES
         if not path.exists():
             return []
         found: dict[int, Outcome] = {}
-        for line in path.read_text(encoding="utf-8").splitlines():
+        for line in path.read_bytes().splitlines():
             try:
                 row = json.loads(line)
                 outcome = Outcome(**{**row, "warnings": tuple(row["warnings"])})

@@ -122,8 +122,8 @@ def test_an_interrupted_campaign_goes_on_where_it_was(tmp_path):
     results = Results.open(tmp_path / "out", study())
     with pytest.raises(KeyboardInterrupt):
         run_campaign(study(), results, Interrupted())
-    with (results.path / "results.jsonl").open("a") as sink:
-        sink.write('{"number": 3, "seed"')  # cut off in the middle of a line
+    with (results.path / "results.jsonl").open("ab") as sink:
+        sink.write(b'{"number": 3, "group": "\xcb')  # cut off in the middle of a line
     workers, seen = InThisProcess(), []
     again = run_campaign(study(), Results.open(tmp_path / "out", study()), workers, seen.append)
     assert workers.ran == [2, 3]
