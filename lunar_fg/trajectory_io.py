@@ -156,9 +156,12 @@ def _tum_lines(stamp_s: FloatArray, poses: FloatArray) -> list[str]:
     if not len(poses):
         return []
     quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
+    # Adding zero makes a rounded -0.0 a 0.0: the same file from numbers that are the same so far.
+    numbers = np.column_stack([stamp_s, np.round(poses[:, :3, 3], 9) + 0.0])
+    turns = np.round(quaternions, 12) + 0.0
     return [
-        " ".join([*(f"{v:.9f}" for v in (stamp, *position)), *(f"{v:.12f}" for v in quaternion)])
-        for stamp, position, quaternion in zip(stamp_s, poses[:, :3, 3], quaternions, strict=True)
+        " ".join([*(f"{v:.9f}" for v in number), *(f"{v:.12f}" for v in turn)])
+        for number, turn in zip(numbers.tolist(), turns.tolist(), strict=True)
     ]
 
 

@@ -35,6 +35,14 @@ def test_tum_round_trip(tmp_path: Path, trajectory: Trajectory) -> None:
     assert not found.indexed
 
 
+def test_what_rounds_to_zero_has_no_sign() -> None:
+    """Runs that differ in the last bit write the same file."""
+    pose = np.eye(4)
+    pose[:3, 3] = [-1e-12, 1e-12, -1e-10]
+    pose[:3, :3] = se3_exp([-1e-14, 1e-14, 0.0, 0.0, 0.0, 0.0])[:3, :3]
+    assert tum_line(1.0, pose) == tum_line(1.0, np.eye(4))
+
+
 def test_tum_line_is_the_line_of_the_text(trajectory: Trajectory) -> None:
     line = tum_line(float(trajectory.stamp_s[3]), trajectory.map_T_rover[3])
     assert tum_text(trajectory).splitlines()[4] == line
