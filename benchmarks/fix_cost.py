@@ -9,6 +9,7 @@ import numpy as np
 
 from frontends.measurements import AbsoluteFix, FixCandidate, FloatArray
 from lunar_fg.graph import IncrementalSmoother, optimize_batch
+from lunar_fg.graph.descent import descend
 from lunar_fg.graph.planar import planar
 from lunar_fg.simulation.measurements import INDEPENDENT, TraverseSpec, simulate
 
@@ -32,7 +33,9 @@ class TakenBack:
     """A false fix believed and taken back after so many keyframes of wheels and tilt.
 
     `later` says how many keyframes, with their fixes, came between; `snapshot` whether the copy
-    from before it was still kept.
+    from before it was still kept. `left_mm` is against the positions before (or, where keyframes
+    came between, against those that end up without a copy), `off_mm` against the optimum of the
+    same factors, which `off_before_mm` says of the positions before.
     """
 
     keyframes: int
@@ -44,6 +47,8 @@ class TakenBack:
     ms_max: float
     graph_ms_median: float
     left_mm: float
+    off_before_mm: float
+    off_mm: float
 
 
 def fix_cost(keyframes: int, every: int = 20) -> FixCost:
@@ -97,23 +102,24 @@ def taken_back(keyframes: int, repeats: int = 5) -> list[TakenBack]:
         smoother.add_fix(fix_at(run.map_T_rover[frame], frame, rng, off))
         for snapshot in (True, False):
             smoother.reject(frame)
-            before = _positions(smoother)
+            before, off_before = _positions(smoother), _off_optimum(smoother)
             times = []
             for _ in range(repeats):
                 smoother.accept(frame)
                 between = _positions(smoother)
                 times.append(_rejected(smoother, frame, snapshot=snapshot))
             left = _largest(_positions(smoother) - before)
-            rows.append(_row(keyframes, frame, 0, snapshot, between - before, times, left))
+            off = (left, off_before, _off_optimum(smoother))
+            rows.append(_row(keyframes, frame, 0, snapshot, between - before, times, off))
     smoother.accept(end)
     between = _positions(smoother)
     drive(keyframes, keyframes + later)
     times = [_rejected(smoother, end, snapshot=True)]
-    after = _positions(smoother)
+    after, off_after = _positions(smoother), _off_optimum(smoother)
     smoother.accept(end)
     _rejected(smoother, end, snapshot=False)
-    left = _largest(_positions(smoother) - after)
-    rows.append(_row(keyframes, end, later, True, between - after[:keyframes], times, left))
+    off = (_largest(_positions(smoother) - after), _off_optimum(smoother), off_after)
+    rows.append(_row(keyframes, end, later, True, between - after[:keyframes], times, off))
     return rows
 
 
@@ -145,13 +151,22 @@ def _row(
     snapshot: bool,
     moved: FloatArray,
     times: list[tuple[float, float]],
-    left: float,
+    off_m: tuple[float, float, float],
 ) -> TakenBack:
     whole, graph = np.array(times).T
     return TakenBack(
         keyframes, at, later, snapshot, _largest(moved), float(np.median(whole)),
-        float(whole.max()), float(np.median(graph)), 1e3 * left,
+        float(whole.max()), float(np.median(graph)), *(1e3 * off for off in off_m),
     )  # fmt: skip
+
+
+def _off_optimum(smoother: IncrementalSmoother) -> float:
+    """Largest distance (m) of a pose of the graph from where it belongs by all its factors."""
+    graph = smoother._graph._isam  # type: ignore[attr-defined]
+    here = graph._isam.calculateEstimate()
+    there = descend(graph._factors, here, 100).values
+    gap = [here.atPose3(k).translation() - there.atPose3(k).translation() for k in there.keys()]  # noqa: SIM118
+    return _largest(np.array(gap))
 
 
 def _positions(smoother: IncrementalSmoother) -> FloatArray:

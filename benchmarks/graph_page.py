@@ -31,7 +31,9 @@ _TEXTS = {
         "Wheels and tilt only, a fix every 200 keyframes: a false one is believed on a person's "
         "word and rejected again, at once or so many keyframes and another fix later, with the "
         "copy of iSAM2 from before it and without one. The milliseconds hold the vote on the "
-        "other fixes, too; those of the graph are without it.",
+        "other fixes, too; those of the graph are without it. Without a copy what is left is "
+        "linearisation: poses that moved by less than 0.1 m and 1 mrad stay as they were "
+        "linearised, before as after; how far both are from the optimum stands beside it.",
     ),
     "false fixes": (
         "False fixes",
