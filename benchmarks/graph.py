@@ -36,6 +36,7 @@ from lunar_fg.graph import (
 )
 from lunar_fg.graph.factors import pose_key
 from lunar_fg.graph.landmarks import WholeGraph, map_point
+from lunar_fg.graph.setup import Setup
 from lunar_fg.simulation.measurements import INDEPENDENT, TraverseSpec, simulate
 
 _DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -90,7 +91,7 @@ class PlainIsam:
 
     def __init__(self, data: Data) -> None:
         self._data = data
-        self._whole = WholeGraph(data.camera, data.rover_T_camera, data.start, data.config)
+        self._whole = WholeGraph(Setup(data.camera, data.rover_T_camera, data.start, data.config))
         self._isam = gtsam.ISAM2(gtsam.ISAM2Params())
         self._count = 0
 

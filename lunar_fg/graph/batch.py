@@ -23,6 +23,7 @@ from lunar_fg.graph.landmarks import WholeGraph, map_point
 from lunar_fg.graph.ledger import LedgerEntry
 from lunar_fg.graph.review import JointCovariance, Review
 from lunar_fg.graph.scale import Anchors
+from lunar_fg.graph.setup import Setup
 
 _ITERATIONS_FACTOR = 10
 _MOST_CULPRITS = 50
@@ -74,19 +75,19 @@ def optimize_batch(
     EstimationError
         The graph cannot be solved.
     """
-    config = config or GraphConfig()
-    check_pose(rover_T_camera, "rover_T_camera", "")
+    setup = Setup.checked(camera, rover_T_camera, start, config)
+    config = setup.config
     if not keyframes:
         raise InputError("is empty", source="keyframes", remedy="record a run first")
     if initial is None:
-        smoother = _incremental(camera, rover_T_camera, start, keyframes, config, ledger)
+        smoother = _incremental(setup, keyframes, ledger)
         initial, ledger = smoother.trajectory(), smoother.ledger
     index = [keyframe.index for keyframe in keyframes]
     if initial.index.tolist() != index:
         raise InputError(
             "is of other keyframes", source="initial", remedy="give the trajectory of this run"
         )
-    whole = WholeGraph(camera, rover_T_camera, start, config)
+    whole = WholeGraph(setup)
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     landmarks = 0
     for ordinal, (keyframe, pose) in enumerate(zip(keyframes, initial.map_T_rover, strict=True)):
@@ -134,15 +135,10 @@ def optimize_batch(
 
 
 def _incremental(
-    camera: StereoCamera,
-    rover_T_camera: FloatArray,
-    start: StartPrior,
-    keyframes: Sequence[Keyframe],
-    config: GraphConfig,
-    ledger: Sequence[LedgerEntry],
+    setup: Setup, keyframes: Sequence[Keyframe], ledger: Sequence[LedgerEntry]
 ) -> IncrementalSmoother:
-    segments = config.model_copy(update={"landmarks": "segments"})
-    smoother = IncrementalSmoother(camera, rover_T_camera, start, segments)
+    segments = setup.config.model_copy(update={"landmarks": "segments"})
+    smoother = IncrementalSmoother(setup.camera, setup.rover_T_camera, setup.start, segments)
     list(feed(smoother, keyframes, ledger))
     smoother.finish()
     return smoother

@@ -5,10 +5,10 @@ from __future__ import annotations
 import gtsam
 import numpy as np
 
-from frontends.camera import StereoCamera
 from frontends.errors import InputError
 from frontends.measurements import FloatArray, StartPrior, Tilt
 from lunar_fg.graph.checks import check_covariance, check_finite, check_pose
+from lunar_fg.graph.setup import Setup
 
 
 def pose_key(ordinal: int) -> int:
@@ -76,21 +76,17 @@ class StereoFactors:
 
     Parameters
     ----------
-    camera, rover_T_camera
-        The camera and where it sits; poses in the graph are the rover's.
-    robust_threshold_sigma
-        Huber's threshold on the whitened residual.
+    setup
+        Of the graph; its poses are the rover's.
     """
 
-    def __init__(
-        self, camera: StereoCamera, rover_T_camera: FloatArray, robust_threshold_sigma: float
-    ) -> None:
-        check_pose(rover_T_camera, "rover_T_camera", "")
+    def __init__(self, setup: Setup) -> None:
+        camera = setup.camera
         self._calibration = gtsam.Cal3_S2Stereo(
             camera.fx, camera.fy, 0.0, camera.cx, camera.cy, camera.baseline_m
         )
-        self._rover_P_camera = gtsam.Pose3(rover_T_camera)
-        self._threshold = robust_threshold_sigma
+        self._rover_P_camera = gtsam.Pose3(setup.rover_T_camera)
+        self._threshold = setup.config.robust_threshold_sigma
 
     def create(
         self,

@@ -13,9 +13,8 @@ from scipy.stats import chi2
 
 from frontends.errors import EstimationError, InputError
 from frontends.geometry import inverse, se3_log
-from frontends.measurements import AbsoluteFix, FloatArray, StartPrior, Verdict
+from frontends.measurements import AbsoluteFix, FloatArray, Verdict
 from lunar_fg.graph.anchors import Anchor, fix_factor, height_factor, relative_factor
-from lunar_fg.graph.config import GraphConfig
 from lunar_fg.graph.keyframe import floored
 from lunar_fg.graph.ledger import (
     FixDecision,
@@ -36,6 +35,7 @@ from lunar_fg.graph.planar import (
     wrapped,
 )
 from lunar_fg.graph.scale import FixedScale, fixed_scale
+from lunar_fg.graph.setup import Setup
 from lunar_fg.graph.vote import NONE, Ballot, Choice, Group, Vote
 
 #: Roll, pitch and height of a tangent vector; the vote is on the others.
@@ -113,13 +113,12 @@ class FixJudge:
     ----------
     graph
         Where the keyframes are.
-    start
-        Prior of the first one.
-    config
-        Gate and window.
+    setup
+        Prior of the first one; gate and window.
     """
 
-    def __init__(self, graph: FixGraph, start: StartPrior, config: GraphConfig) -> None:
+    def __init__(self, graph: FixGraph, setup: Setup) -> None:
+        start, config = setup.start, setup.config
         self._graph = graph
         self._barrier = float(chi2.ppf(config.fix_gate_probability, 3))
         self._height_gate = float(chi2.ppf(config.fix_gate_probability, 1))

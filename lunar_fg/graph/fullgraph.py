@@ -8,16 +8,15 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 
-from frontends.camera import StereoCamera
 from frontends.errors import EstimationError
-from frontends.measurements import FloatArray, StartPrior
+from frontends.measurements import FloatArray
 from lunar_fg.graph.anchors import Anchor, motion_between
-from lunar_fg.graph.config import GraphConfig
 from lunar_fg.graph.factors import between_factor, pose_key, start_factor
 from lunar_fg.graph.isam import GuardedIsam
 from lunar_fg.graph.keyframe import Entered, Keyframe
 from lunar_fg.graph.landmarks import WholeGraph, map_point
 from lunar_fg.graph.planar import Planar, PlanarChain, planar, turn, wrapped
+from lunar_fg.graph.setup import Setup
 
 _FRAMES_NAMED = 8
 #: A turn by more takes no linear steps: to second order it misplaces a landmark 10 m off by
@@ -30,25 +29,18 @@ class FullGraph:
 
     Parameters
     ----------
-    camera, rover_T_camera, start, config
-        As for `IncrementalSmoother`.
+    setup
+        What it is made for.
     """
 
-    def __init__(
-        self,
-        camera: StereoCamera,
-        rover_T_camera: FloatArray,
-        start: StartPrior,
-        config: GraphConfig,
-    ) -> None:
-        self._rover_T_camera = rover_T_camera
-        self._start = start
-        self._whole = WholeGraph(camera, rover_T_camera, start, config)
+    def __init__(self, setup: Setup) -> None:
+        self._setup = setup
+        self._whole = WholeGraph(setup)
         # Cholesky is two to three times faster with landmarks; the guard turns to QR
         # where the 4096 rule stops it.
         self._isam = GuardedIsam(qr=False, unsound=self._whole.unsound)
         self._count = 0
-        self._chain = PlanarChain(config.scale_sigma)
+        self._chain = PlanarChain(setup.config.scale_sigma)
         self._motions: list[tuple[FloatArray, FloatArray]] = []
         self._landmarks_aside = 0
         self._frames_aside: list[int] = []
@@ -73,7 +65,7 @@ class FullGraph:
         here = self._count
         values = gtsam.Values()
         if new.previous_T_rover is None or new.covariance is None:
-            pose = self._start.map_T_rover
+            pose = self._setup.start.map_T_rover
         else:
             before = self._isam.pose(pose_key(here - 1))
             pose = before @ new.previous_T_rover
@@ -85,7 +77,7 @@ class FullGraph:
         for key, ordinal, point in new.landmarks:
             if ordinal not in seen_from:
                 seen_from[ordinal] = self._isam.pose(pose_key(ordinal))
-            values.insert(key, map_point(seen_from[ordinal], self._rover_T_camera, point))
+            values.insert(key, map_point(seen_from[ordinal], self._setup.rover_T_camera, point))
         entered = new.entered
         try:
             self._set_aside(self._isam.update(new.factors, values, keyframe.index), keyframe.index)
@@ -105,7 +97,7 @@ class FullGraph:
         factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         values.insert(pose_key(here), gtsam.Pose3(pose))
         if here == 0:
-            factors.add(start_factor(pose_key(0), self._start))
+            factors.add(start_factor(pose_key(0), self._setup.start))
         else:
             ends = (pose_key(here - 1), pose_key(here))
             factors.add(between_factor(*ends, *self._motions[-1], f"keyframe {frame}"))
@@ -120,8 +112,8 @@ class FullGraph:
     def _start_anew(self) -> None:
         """Rebuild without a landmark: start prior and measured motions, which always solve."""
         factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        factors.add(start_factor(pose_key(0), self._start))
-        pose = self._start.map_T_rover
+        factors.add(start_factor(pose_key(0), self._setup.start))
+        pose = self._setup.start.map_T_rover
         values.insert(pose_key(0), gtsam.Pose3(pose))
         for i, motion in enumerate(self._motions, start=1):
             pose = pose @ motion[0]

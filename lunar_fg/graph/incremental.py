@@ -32,6 +32,7 @@ from lunar_fg.graph.ledger import FixDecision, Height, LedgerEntry, LoopClosure
 from lunar_fg.graph.planar import Planar, planar_of
 from lunar_fg.graph.posegraph import SegmentGraph, compose
 from lunar_fg.graph.scale import Anchors, FixedScale
+from lunar_fg.graph.setup import Setup
 from lunar_fg.graph.vote import NONE
 
 NO_VERTICAL_WARNING = (
@@ -105,28 +106,17 @@ class IncrementalSmoother:
         start: StartPrior | None = None,
         config: GraphConfig | None = None,
     ) -> None:
-        start = start or StartPrior()
-        config = config or GraphConfig()
-        check_pose(rover_T_camera, "rover_T_camera", "")
-        check_pose(start.map_T_rover, "start", "map_T_rover")
-        check_covariance(start.covariance(), 6, "start", "sigmas")
-        if min(*start.sigma_rot_rad, *start.sigma_trans_m) <= 0.0:
-            raise InputError(
-                "must all be above 0", source="start", field="sigmas",
-                remedy="1e-4 rad and 1e-3 m hold the start as good as fixed",
-            )  # fmt: skip
+        self._setup = setup = Setup.checked(camera, rover_T_camera, start, config)
         kernels.warm()
-        backend = SegmentGraph if config.landmarks == "segments" else FullGraph
-        self._graph: _Graph = backend(camera, np.array(rover_T_camera, float), start, config)
-        self._judge = FixJudge(self._graph, start, config)
+        backend = SegmentGraph if setup.config.landmarks == "segments" else FullGraph
+        self._graph: _Graph = backend(setup)
+        self._judge = FixJudge(self._graph, setup)
         self._index: list[int] = []
         self._stamp_s: list[float] = []
         self._vertical = False
-        self._start, self._config = start, config
-        self._scale_sigma = config.scale_sigma
+        self._scale_sigma = setup.config.scale_sigma
         self._scale_warning: tuple[str, ...] = ()
         self._anchors: Anchors | None = None
-        self._rover_T_camera = np.array(rover_T_camera, float)
         self._before: tuple[FloatArray, FloatArray] | None = None
         self._failures: list[str] = []
 
@@ -185,11 +175,11 @@ class IncrementalSmoother:
         try:
             latest = self._graph.latest()
         except EstimationError as error:
-            motion = keyframe.motion(self._rover_T_camera)
+            motion = keyframe.motion(self._setup.rover_T_camera)
             if motion is None or self._before is None:
                 raise
             self._failures.append(f"keyframe {keyframe.index}: {error}")
-            latest = compose(*self._before, *in_rover_frames(*motion, self._rover_T_camera))
+            latest = compose(*self._before, *in_rover_frames(*motion, self._setup.rover_T_camera))
         self._before = latest
         return latest
 
@@ -388,11 +378,11 @@ class IncrementalSmoother:
 
     def _fixed_at(self) -> Anchors:
         if self._anchors is None:
-            scale, moved = self._judge.fixed_scale(self._config.scale_sigma)
+            scale, moved = self._judge.fixed_scale(self._setup.config.scale_sigma)
             self._take_scale(scale)
             self._anchors = Anchors.of(
                 self._index[0],
-                self._start.map_T_rover,
+                self._setup.start.map_T_rover,
                 self.ledger,
                 {self._index[ordinal]: shift for ordinal, shift in moved.items()},
             )
@@ -400,10 +390,10 @@ class IncrementalSmoother:
 
     def _take_scale(self, scale: FixedScale | None) -> None:
         """Consider a scale as wrong as the fixes say, and say so where they contradict it."""
-        stated = self._config.scale_sigma
+        stated = self._setup.config.scale_sigma
         self._scale_sigma = stated if scale is None else scale.considered(stated)
         self._scale_warning = ()
-        if scale is not None and scale.contradicts(stated, self._config.fix_gate_probability):
+        if scale is not None and scale.contradicts(stated, self._setup.config.fix_gate_probability):
             length = "long" if scale.excess > 0.0 else "short"
             self._scale_warning = (
                 f"by the fixes the path is {100.0 * abs(scale.excess):.1f} % too {length} (sigma "

@@ -8,10 +8,8 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
-from frontends.camera import StereoCamera
 from frontends.geometry import adjoint, inverse, transform_points
-from frontends.measurements import FloatArray, IntArray, StartPrior
-from lunar_fg.graph.config import GraphConfig
+from frontends.measurements import FloatArray, IntArray
 from lunar_fg.graph.factors import (
     StereoFactors,
     between_factor,
@@ -21,6 +19,7 @@ from lunar_fg.graph.factors import (
     tilt_factor,
 )
 from lunar_fg.graph.keyframe import Entered, Keyframe, floored, no_motion
+from lunar_fg.graph.setup import Setup
 from lunar_fg.graph.tracks import Sightings, TrackTable, in_front
 
 #: A point whose disparity is below this many sigmas has no usable depth as x, y, z; one that
@@ -74,23 +73,15 @@ class WholeGraph:
 
     Parameters
     ----------
-    camera, rover_T_camera, start, config
-        As for `IncrementalSmoother`.
+    setup
+        What it is made for.
     """
 
-    def __init__(
-        self,
-        camera: StereoCamera,
-        rover_T_camera: FloatArray,
-        start: StartPrior,
-        config: GraphConfig,
-    ) -> None:
-        self._camera = camera
-        self._rover_T_camera = rover_T_camera
-        self._start = start
-        self._config = config
-        self._stereo = StereoFactors(camera, rover_T_camera, config.robust_threshold_sigma)
-        self._tracks = TrackTable(camera, config.gate_probability, config.max_track_gap)
+    def __init__(self, setup: Setup) -> None:
+        self._camera, self._config = setup.camera, setup.config
+        self._rover_T_camera, self._start = setup.rover_T_camera, setup.start
+        self._stereo = StereoFactors(setup)
+        self._tracks = TrackTable(setup)
         self._pending: dict[int, _Pending] = {}
         self._known: dict[int, int] = {}
         self._aside: set[int] = set()

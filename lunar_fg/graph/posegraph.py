@@ -8,12 +8,10 @@ from collections.abc import Collection, Mapping
 import gtsam
 import numpy as np
 
-from frontends.camera import StereoCamera
 from frontends.errors import EstimationError, InputError
 from frontends.geometry import adjoint, inverse
-from frontends.measurements import FloatArray, StartPrior, Tilt
+from frontends.measurements import FloatArray, Tilt
 from lunar_fg.graph.anchors import Anchor, motion_between, spread
-from lunar_fg.graph.config import GraphConfig
 from lunar_fg.graph.factors import (
     between_factor,
     pose_key,
@@ -25,6 +23,7 @@ from lunar_fg.graph.isam import GuardedIsam
 from lunar_fg.graph.keyframe import Entered, Keyframe
 from lunar_fg.graph.planar import Planar, PlanarChain
 from lunar_fg.graph.segment import Segment, SegmentSolution
+from lunar_fg.graph.setup import Setup
 from lunar_fg.graph.uprights import uprights
 
 #: To second order a turn of 1 mrad puts the end of a kilometre off by 0.5 mm, a shift by 0.1 m
@@ -38,21 +37,12 @@ class SegmentGraph:
 
     Parameters
     ----------
-    camera, rover_T_camera, start, config
-        As for `IncrementalSmoother`.
+    setup
+        What it is made for.
     """
 
-    def __init__(
-        self,
-        camera: StereoCamera,
-        rover_T_camera: FloatArray,
-        start: StartPrior,
-        config: GraphConfig,
-    ) -> None:
-        self._camera = camera
-        self._rover_T_camera = rover_T_camera
-        self._start = start
-        self._config = config
+    def __init__(self, setup: Setup) -> None:
+        self._setup = setup
         # One pose in segment_keyframes: QR costs no more than Cholesky and has no 4096 rule.
         self._isam = GuardedIsam(
             qr=True,
@@ -69,9 +59,9 @@ class SegmentGraph:
         self._solutions: list[SegmentSolution] = []
         # Ordinal of the keyframe that each segment begins with, the open one too.
         self._begins = [0]
-        self._chain = PlanarChain(config.scale_sigma)
+        self._chain = PlanarChain(setup.config.scale_sigma)
         self._failures: list[str] = []
-        self._close_at = config.segment_keyframes
+        self._close_at = setup.config.segment_keyframes
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -93,14 +83,14 @@ class SegmentGraph:
 
     def _begin(self, keyframe: Keyframe) -> None:
         factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        factors.add(start_factor(pose_key(0), self._start))
-        values.insert(pose_key(0), gtsam.Pose3(self._start.map_T_rover))
+        factors.add(start_factor(pose_key(0), self._setup.start))
+        values.insert(pose_key(0), gtsam.Pose3(self._setup.start.map_T_rover))
         self._add_tilt(factors, keyframe, pose_key(0))
         self._isam.update(factors, values, keyframe.index)
         self._open(keyframe)
 
     def _open(self, boundary: Keyframe) -> None:
-        self._segment = Segment(self._camera, self._rover_T_camera, self._config, boundary)
+        self._segment = Segment(self._setup, boundary)
         self._last = boundary
         self._tilts = {}
 
@@ -128,10 +118,10 @@ class SegmentGraph:
                 self._enter(solution, last, name)
             except (EstimationError, InputError) as second:
                 self._failures.append(f"{name}: stays open ({second})")
-                self._close_at = len(segment) - 1 + self._config.segment_keyframes
+                self._close_at = len(segment) - 1 + self._setup.config.segment_keyframes
                 return
             self._failures.append(f"{name}: carried by its motions alone ({error})")
-        self._close_at = self._config.segment_keyframes
+        self._close_at = self._setup.config.segment_keyframes
         self._solutions.append(solution)
         self._begins.append(self._begins[-1] + len(segment) - 1)
         self._open(last)

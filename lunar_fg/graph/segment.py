@@ -7,13 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from frontends.camera import StereoCamera
 from frontends.errors import EstimationError
 from frontends.geometry import adjoint, inverse
 from frontends.measurements import FloatArray, IntArray
 from lunar_fg.graph.adjustment import Motion, Window, WindowSolver
-from lunar_fg.graph.config import GraphConfig
 from lunar_fg.graph.keyframe import Entered, Keyframe, floored, no_motion
+from lunar_fg.graph.setup import Setup
 from lunar_fg.graph.tracks import Sightings, TrackTable
 
 
@@ -59,25 +58,16 @@ class Segment:
 
     Parameters
     ----------
-    camera, rover_T_camera
-        The stereo camera and where it sits.
-    config
+    setup
         Of the graph.
     boundary
         The first keyframe.
     """
 
-    def __init__(
-        self,
-        camera: StereoCamera,
-        rover_T_camera: FloatArray,
-        config: GraphConfig,
-        boundary: Keyframe,
-    ) -> None:
-        self._camera = camera
-        self._rover_T_camera = rover_T_camera
-        self._config = config
-        self._tracks = TrackTable(camera, config.gate_probability, config.max_track_gap)
+    def __init__(self, setup: Setup, boundary: Keyframe) -> None:
+        self._camera, self._config = setup.camera, setup.config
+        self._rover_T_camera = setup.rover_T_camera
+        self._tracks = TrackTable(setup)
         self._motions: list[Motion] = []
         self._poses: list[FloatArray] = [np.eye(4)]
         self._covariances: list[FloatArray] = [np.zeros((6, 6))]

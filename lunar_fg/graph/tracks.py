@@ -12,6 +12,7 @@ from frontends.camera import StereoCamera
 from frontends.geometry import adjoint, inverse
 from frontends.measurements import FloatArray, IntArray, StereoObservations
 from lunar_fg.graph import kernels
+from lunar_fg.graph.setup import Setup
 
 BoolArray = NDArray[np.bool_]
 
@@ -101,16 +102,14 @@ class TrackTable:
 
     Parameters
     ----------
-    camera
-        Of all views.
-    gate_probability, max_gap
-        See `GraphConfig`.
+    setup
+        Of the graph.
     """
 
-    def __init__(self, camera: StereoCamera, gate_probability: float, max_gap: int) -> None:
-        self._lens = lens(camera)
-        self._gate = float(chi2.ppf(gate_probability, 3))
-        self._max_gap = max_gap
+    def __init__(self, setup: Setup) -> None:
+        self._lens = lens(setup.camera)
+        self._gate = float(chi2.ppf(setup.config.gate_probability, 3))
+        self._max_gap = setup.config.max_track_gap
         self.clear()
         self._next_track = 0
 

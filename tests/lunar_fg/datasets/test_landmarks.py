@@ -9,6 +9,7 @@ from frontends.errors import InputError
 from frontends.geometry import inverse
 from lunar_fg.datasets.landmarks import example_folder, read_landmarks
 from lunar_fg.graph import GraphConfig, IncrementalSmoother, optimize_batch
+from lunar_fg.graph.setup import Setup
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +84,10 @@ def test_chi_square_is_about_one(sequence):
     from lunar_fg.graph.segment import Segment
 
     config = GraphConfig()
-    segment = Segment(sequence.camera, sequence.rover_T_camera, config, sequence.keyframes[0])
+    segment = Segment(
+        Setup.checked(sequence.camera, sequence.rover_T_camera, config=config),
+        sequence.keyframes[0],
+    )
     for keyframe in sequence.keyframes[1:11]:
         segment.add(keyframe)
     solution = segment.solve()

@@ -72,15 +72,17 @@ def test_the_same_pixels_twice_would_be_over_confident():
 
     from frontends.measurements import Odometry
     from lunar_fg.graph.segment import Segment
+    from lunar_fg.graph.setup import Setup
 
-    spec, config, squared = TraverseSpec(keyframes=11), INDEPENDENT, []
+    spec, squared = TraverseSpec(keyframes=11), []
     for seed in range(20):
         run = simulate(spec, seed)
-        once = Segment(run.camera, run.rover_T_camera, config, run.keyframes[0])
+        setup = Setup.checked(run.camera, run.rover_T_camera, config=INDEPENDENT)
+        once = Segment(setup, run.keyframes[0])
         for keyframe in run.keyframes[1:]:
             once.add(keyframe)
         solved = once.solve()
-        twice = Segment(run.camera, run.rover_T_camera, config, run.keyframes[0])
+        twice = Segment(setup, run.keyframes[0])
         for k, keyframe in enumerate(run.keyframes[1:], start=1):
             motion = inverse(solved.first_T_rover[k - 1]) @ solved.first_T_rover[k]
             pair = solved.covariance[6 * k - 6 : 6 * k, 6 * k - 6 : 6 * k] / k

@@ -9,6 +9,7 @@ from frontends.measurements import Tilt
 from lunar_fg.graph.config import GraphConfig
 from lunar_fg.graph.factors import between_factor, landmark_key, pose_key
 from lunar_fg.graph.segment import Segment, _longest
+from lunar_fg.graph.setup import Setup
 from lunar_fg.graph.uprights import uprights
 from lunar_fg.simulation.measurements import INDEPENDENT, TraverseSpec, simulate
 
@@ -66,7 +67,10 @@ def gtsam_solution(segment, traverse, threshold):
 
 
 def filled(traverse, config):
-    segment = Segment(traverse.camera, traverse.rover_T_camera, config, traverse.keyframes[0])
+    segment = Segment(
+        Setup.checked(traverse.camera, traverse.rover_T_camera, config=config),
+        traverse.keyframes[0],
+    )
     for keyframe in traverse.keyframes[1:]:
         segment.add(keyframe)
     return segment

@@ -5,7 +5,8 @@ import pytest
 from scipy.stats import chi2
 
 from frontends.geometry import inverse, se3_exp
-from lunar_fg.graph import kernels
+from lunar_fg.graph import GraphConfig, kernels
+from lunar_fg.graph.setup import Setup
 from lunar_fg.graph.tracks import Sightings, TrackTable, homogeneous, lens
 from lunar_fg.simulation.measurements import TraverseSpec, simulate
 
@@ -70,7 +71,7 @@ def test_distance_is_chi_square_with_three_degrees(traverse):
 def test_bad_sightings_are_cut_and_good_ones_pass():
     for share, low, high in ((0.0, 0.0, 0.01), (0.2, 0.15, 0.45)):
         traverse = simulate(TraverseSpec(keyframes=10, bad_share=share), seed=5)
-        table = TrackTable(traverse.camera, 0.999, 10)
+        table = TrackTable(Setup.checked(traverse.camera, np.eye(4)))
         linked = cut = 0
         for k, keyframe in enumerate(traverse.keyframes):
             motion = keyframe.motion(traverse.rover_T_camera) if k else None
@@ -80,7 +81,7 @@ def test_bad_sightings_are_cut_and_good_ones_pass():
 
 
 def test_too_few_links_cut_all(traverse):
-    table = TrackTable(traverse.camera, 0.999, 10)
+    table = TrackTable(Setup.checked(traverse.camera, np.eye(4)))
     first, second = traverse.keyframes[:2]
     table.add(Sightings.of(first.observations), None, None)
     tracked = table.add(
@@ -95,7 +96,9 @@ def test_a_landmark_survives_a_gap_up_to_the_limit(traverse):
     sightings = Sightings.of(keyframes[0].observations).take(np.arange(20))
     still = (np.eye(4), 1e-6 * np.eye(6))
     for max_gap, expected in ((3, 20), (2, 0)):
-        table = TrackTable(traverse.camera, 0.999, max_gap)
+        table = TrackTable(
+            Setup.checked(traverse.camera, np.eye(4), config=GraphConfig(max_track_gap=max_gap))
+        )
         table.add(sightings, None, None)
         for _ in range(2):
             table.add(Sightings.of(None), still, 1)
