@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 from dataclasses import dataclass, field
 from typing import Any, Self
-from zipfile import BadZipFile
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from frontends.disparity_check import DisparityFinding
 from frontends.landmark_memory import LandmarkMemory
 from frontends.rectification import RectificationError
 from frontends.templates import Templates
+from lunar_fg.arrays import DAMAGED
 
 _MEMORY = (
     "landmark_id", "descriptors", "laplacian", "points", "covariance", "unseen",
@@ -84,7 +84,7 @@ class Checkpoint:
         try:
             with np.load(io.BytesIO(data), allow_pickle=False) as archive:
                 arrays = dict(archive)
-        except (BadZipFile, TypeError, AttributeError) as error:
+        except DAMAGED as error:
             raise ValueError(str(error)) from error
         vertical_measured, watching, corrected = map(bool, arrays["flags"])
         memory = finding = images = None

@@ -27,6 +27,7 @@ from frontends.measurements import (
     Verdict,
     WheelOdometry,
 )
+from lunar_fg.arrays import DAMAGED
 from lunar_fg.graph.keyframe import Keyframe
 from lunar_fg.record import DeadReckoned, FrameRecord, FrameReport, Sensors
 
@@ -134,7 +135,7 @@ class RowReader:
         """
         try:
             return np.load(io.BytesIO(blob), allow_pickle=False)
-        except (ValueError, EOFError) as error:
+        except DAMAGED as error:
             raise InputError(
                 f"holds a damaged array ({error})", source=self._path, field=where
             ) from error

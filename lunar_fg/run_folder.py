@@ -14,7 +14,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 import yaml
@@ -22,6 +21,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from frontends.errors import InputError
+from lunar_fg.arrays import DAMAGED
+from lunar_fg.datasets.tables import check_size
 from lunar_fg.evaluation.metrics import Metrics
 from lunar_fg.trajectory import Trajectory, Truth
 from lunar_fg.trajectory_io import (
@@ -302,9 +303,9 @@ def _with_covariance(trajectory: Trajectory, path: Path) -> Trajectory:
     if not path.is_file():
         return trajectory
     try:
-        with np.load(path) as arrays:
+        with np.load(path, allow_pickle=False) as arrays:
             stamps, covariance = arrays["stamp_s"], arrays["covariance"]
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
+    except DAMAGED as error:
         problem = "is not an archive of stamp_s and covariance"
         raise InputError(problem, source=path) from error
     if len(stamps) != len(trajectory) or not np.allclose(
@@ -326,6 +327,7 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def _read(path: Path, parse: Callable[[str], Any]) -> dict[str, Any]:
+    check_size(path)
     try:
         return dict(parse(path.read_text(encoding="utf-8")) or {})
     except (OSError, ValueError, yaml.YAMLError) as error:

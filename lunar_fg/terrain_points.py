@@ -18,6 +18,7 @@ from frontends.errors import InputError
 from frontends.measurements import FloatArray, StereoFrame
 from frontends.rectification import RectificationError
 from frontends.terrain import DenseStereo, SurfacePoints
+from lunar_fg.arrays import DAMAGED
 from lunar_fg.datasets import open_dataset
 from lunar_fg.datasets.base import Dataset
 from lunar_fg.log import TraverseLog
@@ -91,11 +92,12 @@ def read_points(path: Path) -> list[SurfacePoints]:
             ends = np.cumsum(arrays["length"])[:-1]
             layers = [np.split(arrays[name], ends) for name in _LAYERS]
             frames = arrays["frame"].tolist()
-    except (OSError, ValueError, KeyError, EOFError) as error:
+        points = [SurfacePoints(frame, *p) for frame, *p in zip(frames, *layers, strict=True)]
+    except DAMAGED as error:
         raise InputError(
             "cannot be read", source=path, remedy="measure anew with --measure"
         ) from error
-    return [SurfacePoints(frame, *parts) for frame, *parts in zip(frames, *layers, strict=True)]
+    return points
 
 
 def poses_by_frame(results: RunResults) -> dict[int, FloatArray]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from frontends.errors import InputError
+from lunar_fg.datasets.tables import check_size
 from lunar_fg.mission_traverses import read_mission_traverse
 from lunar_fg.trajectory import PositionTrack, Trajectory, Truth, are_rigid
 
@@ -166,6 +167,7 @@ def _tum_lines(stamp_s: FloatArray, poses: FloatArray) -> list[str]:
 
 
 def _read_table(path: Path) -> _Table:
+    check_size(path)
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:

@@ -25,6 +25,7 @@ from frontends.measurements import (
     StereoObservations,
     Verdict,
 )
+from lunar_fg.datasets.tables import check_size
 from lunar_fg.graph.keyframe import Keyframe
 
 #: Image size of KITTI's rectified sequence 00, px; the files do not hold it.
@@ -187,6 +188,7 @@ def _read_table(path: Path, columns: int) -> FloatArray:
         raise InputError("is missing", source=path, remedy="give the folder of gtsam's Data files")
     if not path.stat().st_size:
         raise InputError(f"is empty, needs {columns} columns", source=path)
+    check_size(path)
     try:
         table = np.loadtxt(path, ndmin=2)
     except ValueError as error:

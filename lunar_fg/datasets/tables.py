@@ -227,6 +227,18 @@ def read_numbers(path: Path, width: int) -> tuple[tuple[int, ...], list[list[flo
     return tuple(lines), rows
 
 
+def check_size(path: Path) -> None:
+    """Raise InputError for a file that is larger than what is read of any table."""
+    try:
+        size = path.stat().st_size
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", source=path) from error
+    if size > MAX_BYTES:
+        raise InputError(
+            f"has {size} bytes, more than {MAX_BYTES}", source=path, remedy="split the run"
+        )
+
+
 def read_text(path: Path) -> str:
     """Text of a file, UTF-8, bounded."""
     try:

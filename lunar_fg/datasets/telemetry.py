@@ -14,6 +14,7 @@ import numpy as np
 
 from frontends.errors import InputError
 from frontends.measurements import FloatArray
+from lunar_fg.datasets.tables import check_size
 
 _COLUMNS = ("RAW_X", "RAW_Y", "CORRECTED_X", "CORRECTED_Y")
 
@@ -53,6 +54,7 @@ def read_telemetry(path: Path, least_step_m: float = 0.01) -> Telemetry:
     """
     if not path.is_file():
         raise InputError("is missing", source=path)
+    check_size(path)
     try:
         with path.open(encoding="utf-8") as file:
             header = [name.strip() for name in file.readline().split(",")]
