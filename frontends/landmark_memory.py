@@ -88,7 +88,7 @@ class LandmarkMemory:
         max_unseen
             Kept for so many frames after they were last seen.
         """
-        keep = (self.unseen < max_unseen) & ~np.isin(self.landmark_id, seen_again)
+        keep = (self.unseen < max_unseen) & ~np.isin(self.landmark_id, seen_again, kind="table")
         kept = self.select(keep)
         b_T_a = inverse(a_T_b)
         # R C R^T of every landmark as one matrix product

@@ -373,7 +373,8 @@ class LandmarkTracker:
 
 def _agreeing(tracks: Tracks, relative: RelativePose) -> NDArray[np.bool_]:
     """Which tracks agree with a motion, (M,)."""
-    return np.isin(tracks.observations_b.landmark_id, relative.inlier_ids)
+    # ids of a few frames lie close together: a table of them is small
+    return np.isin(tracks.observations_b.landmark_id, relative.inlier_ids, kind="table")
 
 
 def common_landmarks(
