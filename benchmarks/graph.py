@@ -22,6 +22,7 @@ import numpy as np
 from benchmarks.false_fixes import study
 from benchmarks.fix_cost import fix_at, fix_cost, taken_back
 from benchmarks.graph_page import page
+from benchmarks.segment_loss import largest_gap, over_seeds, segment_lengths
 from benchmarks.traverses import kitti_fixes, spirit
 from frontends.camera import StereoCamera
 from frontends.geometry import inverse, se3_log
@@ -220,17 +221,6 @@ def compared(
     )
 
 
-def largest_gap(one: SmoothedTrajectory, other: SmoothedTrajectory) -> tuple[float, float]:
-    """Of any pose, m and degrees."""
-    steps = [
-        se3_log(inverse(a) @ b) for a, b in zip(one.map_T_rover, other.map_T_rover, strict=True)
-    ]
-    return (
-        max(float(np.linalg.norm(step[3:])) for step in steps),
-        float(np.rad2deg(max(np.linalg.norm(step[:3]) for step in steps))),
-    )
-
-
 def simulated(keyframes: int) -> Data:
     """A traverse with wheels and inclinometer, about 100 observations a keyframe."""
     run = simulate(TraverseSpec(keyframes=keyframes, odometry=True, tilt=True), seed=1)
@@ -264,8 +254,7 @@ def agreements() -> list[Agreement]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parts = ("cost", "agreement", "fix cost", "taken back", "false fixes", "KITTI-00", "Spirit")
-    parser.add_argument("parts", nargs="*", default=parts, help=f"of {', '.join(parts)}")
+    parser.add_argument("parts", nargs="*", help="some of the page's; all where none is named")
     parser.add_argument("--most", type=int, default=10_000, help="keyframes for segments")
     parser.add_argument("--most-fixed", type=int, default=10_000, help="the same with fixes")
     parser.add_argument("--most-full", type=int, default=600, help="keyframes for full landmarks")
@@ -279,6 +268,8 @@ def main() -> None:
     measure: dict[str, Callable[[], Sequence[object]]] = {
         "cost": lambda: costs(arguments),
         "agreement": agreements,
+        "segment length": segment_lengths,
+        "over seeds": over_seeds,
         "fix cost": lambda: [fix_cost(n) for n in (1_000, 3_000) if n <= most],
         "taken back": lambda: [r for n in (1_000, 10_000) if n <= most for r in taken_back(n)],
         "false fixes": lambda: study(arguments.runs),
@@ -286,7 +277,7 @@ def main() -> None:
         "Spirit": lambda: [spirit(telemetry, every) for every in (20, 50, 200)],
     }
     found = json.loads(arguments.json.read_text()) if arguments.json.is_file() else {}
-    for part in arguments.parts:
+    for part in arguments.parts or measure:
         found[part] = [asdict(row) for row in measure[part]()]  # type: ignore[call-overload]
         # Written part by part: what was measured is kept.
         arguments.json.write_text(json.dumps(found, indent=1) + "\n")
