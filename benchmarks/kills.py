@@ -2,8 +2,8 @@
 
 Run from the checkout: ``python -m benchmarks.kills DATASET [--kills 20] [--json OUT]``. Each
 time a new run is started as a process of its own and killed with SIGKILL, a random part of a
-frame after a random number of frames is in its log; then it is resumed to the end. The runs
-with even numbers are resumed in a process that compiles all kernels anew.
+frame after a random number of frames is in its log; then it is resumed to the end. Every so
+often it is resumed in a process that compiles all kernels anew.
 """
 
 from __future__ import annotations
@@ -67,6 +67,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("dataset", type=Path)
     parser.add_argument("--kills", type=int, default=20)
+    parser.add_argument("--compile-every", type=int, default=2, help="resumptions")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
@@ -85,7 +86,7 @@ def main() -> None:
             if not killed(arguments.dataset, folder.path, frames, part_s):
                 folder.path.rename(folder.path.with_name(f"ended-{time.monotonic_ns()}"))
                 continue
-            compiled = len(rows) % 2 == 0
+            compiled = len(rows) % arguments.compile_every == 0
             cache = {"NUMBA_CACHE_DIR": f"{place}/kernels-{len(rows)}"} if compiled else {}
             kept = logged(folder.database_path)
             start = time.perf_counter()

@@ -22,9 +22,11 @@ from frontends.measurements import (
 )
 from frontends.relative import MotionPrediction
 from lunar_fg.graph import kernels
+from lunar_fg.graph.ballot import NONE
+from lunar_fg.graph.cases import FixGraph
 from lunar_fg.graph.checks import check_covariance, check_fix, check_height, check_pose, check_size
 from lunar_fg.graph.config import GraphConfig
-from lunar_fg.graph.fixes import FixGraph, FixJudge
+from lunar_fg.graph.fixes import FixJudge
 from lunar_fg.graph.fullgraph import FullGraph
 from lunar_fg.graph.keyframe import Entered, Keyframe, SmoothedTrajectory
 from lunar_fg.graph.landmarks import in_rover_frames
@@ -33,7 +35,6 @@ from lunar_fg.graph.planar import Planar, planar_of
 from lunar_fg.graph.posegraph import SegmentGraph, compose
 from lunar_fg.graph.scale import Anchors, FixedScale
 from lunar_fg.graph.setup import Setup
-from lunar_fg.graph.vote import NONE
 
 NO_VERTICAL_WARNING = (
     "nothing anchors the vertical (no attitude, no elevation model): roll, pitch and height "

@@ -25,8 +25,8 @@ import numpy as np
 
 from frontends.measurements import FloatArray, IntArray
 from lunar_fg.graph import kernels
-from lunar_fg.graph.network import Claim, Network, squared
-from lunar_fg.graph.planar import Planar
+from lunar_fg.graph.ballot import Ballot, Choice, Outcome
+from lunar_fg.graph.network import Network, squared
 from lunar_fg.graph.stories import Refused, stories
 
 _MOST_CHANGES_EACH = 3
@@ -34,64 +34,9 @@ _MOST_CHANGES_EACH = 3
 _GRADUATION = 1.4
 _MOST_GRADUATIONS = 100
 
-Choice = int | None
 #: How often what was refused may become what is believed.
 _MOST_TURNS = 3
 _MOST_DIVISIONS = 5
-#: No claim of a group is true.
-NONE = -1
-
-
-@dataclass(frozen=True, slots=True)
-class Group:
-    """Claims of which at most one is true; `forced` says which one, or `NONE`, without a vote."""
-
-    claims: tuple[Claim, ...]
-    forced: int | None = None
-
-    def allowed(self, choice: Choice) -> Choice:
-        """What is believed when the vote is for `choice`."""
-        if self.forced is None:
-            return choice
-        return None if self.forced == NONE else self.forced
-
-
-@dataclass(frozen=True, slots=True)
-class Ballot:
-    """What the vote is about.
-
-    Attributes
-    ----------
-    start
-        Station 0 as everything before it says, map axes.
-    motions
-        From each station to the next, in the level axes of the first.
-    groups
-        To be judged.
-    """
-
-    start: Planar
-    motions: tuple[Planar, ...]
-    groups: tuple[Group, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """The verdicts.
-
-    Attributes
-    ----------
-    chosen
-        Of each group the claim that is believed, or None.
-    distance
-        Of each group and claim the squared Mahalanobis distance from what all others say.
-    cost
-        Truncated cost.
-    """
-
-    chosen: tuple[Choice, ...]
-    distance: tuple[FloatArray, ...]
-    cost: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from lunar_fg.graph.ballot import NONE, Ballot, Group
 from lunar_fg.graph.network import Claim
 from lunar_fg.graph.planar import Planar, composed, turn
 from lunar_fg.graph.stories import Refused, stories
-from lunar_fg.graph.vote import NONE, Ballot, Group, Vote
+from lunar_fg.graph.vote import Vote
 
 BARRIER = 16.27
 STEP = Planar(np.array([100.0, 0.0, 0.1]), np.diag([1.0, 4.0, 4e-4]))
