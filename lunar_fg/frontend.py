@@ -24,6 +24,7 @@ from lunar_fg.plausibility import (
     Episodes,
     Plausibility,
     Refound,
+    Richness,
     other_ground,
     was_carried,
 )
@@ -73,6 +74,7 @@ class Frontend:
         self._tracker = LandmarkTracker(camera, config.tracking)
         self._unusable: dict[str, Episodes] = {}
         self._dead_camera = DeadCamera()
+        self._richness = Richness()
         self._rover_T_camera = rover_T_camera
         self._start = start
         self._config = config
@@ -108,6 +110,7 @@ class Frontend:
             now = Refound(possible, relative.agreeing)
             carried = not relative.accepted and other_ground(self._refound, now)
             self._refound = now if relative.accepted else None
+            self._richness.see(frame.index, self._refound)
             tracks, relative = self._follow(frame, features, tracks, relative)
             standing = zero_motion(relative)
             if standing is None:
@@ -141,7 +144,7 @@ class Frontend:
         told = (line for episodes in self._unusable.values() for line in episodes.sentences())
         failure = self._dead_reckoning.failure
         given_up = (f"dead reckoning was given up {failure}",) if failure else ()
-        return (*told, *self._plausibility.warnings, *given_up)
+        return (*told, *self._richness.warnings, *self._plausibility.warnings, *given_up)
 
     def _refuse_dead(self, frame: StereoFrame | UnusableFrame) -> StereoFrame | UnusableFrame:
         if isinstance(frame, UnusableFrame):
@@ -194,6 +197,7 @@ class Frontend:
         self._plausibility = Plausibility(self._rover_T_camera, self._config.motion)
         self._dead_reckoning = DeadReckoning(self._start, self._config.motion)
         self._refound, seen = None, None
+        self._richness = Richness()
         for keyframe, record in frames:
             sensors, relative = record.sensors, keyframe.relative
             odometry, prediction = self._motion.odometry(sensors), self._motion.predict(sensors)
@@ -207,6 +211,7 @@ class Frontend:
                     possible = in_view(self._tracker.camera, seen.points_cam, prediction)
                     possible = min(possible, record.report.landmarks)
                     self._refound = Refound(possible, len(relative.inlier_ids))
+                    self._richness.see(keyframe.index, self._refound)
                 carried = was_carried(keyframe, self._config.motion)
                 self._plausibility.odometry(keyframe.index, odometry, relative, carried=carried)
             self._plausibility.tilt(keyframe.index, tilt_of(sensors), relative)

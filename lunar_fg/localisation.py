@@ -45,6 +45,8 @@ FloatArray = NDArray[np.float64]
 
 #: Half width of the search window, in sigmas of the prediction.
 _WINDOW_SIGMAS = 3.4
+#: Fewer attempts say nothing of the map.
+_FEW_ATTEMPTS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,6 +127,7 @@ class Localisation:
         self._last: FloatArray | None = None
         self._next_try_m = 0.0
         self._tried: set[int] = set()
+        self._believed = self._refused = 0
 
     def observe(
         self,
@@ -275,6 +278,8 @@ class Localisation:
     def settle(self, accepted: bool) -> None:
         """Let go of the ground of a fix that is in the graph; keep it after a refusal."""
         length = self.adjustment.length_m
+        self._believed += accepted
+        self._refused += not accepted
         if accepted:
             self._stations = []
             self._next_try_m = self._driven_m
@@ -282,6 +287,17 @@ class Localisation:
         self._next_try_m = self._driven_m + 0.25 * length
         oldest = self._driven_m - 1.5 * length
         self._stations = [s for s in self._stations if s.driven_m >= oldest]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Whether the map seems not to fit."""
+        tried = self._believed + self._refused
+        if tried < _FEW_ATTEMPTS or self._refused <= self._believed:
+            return ()
+        return (
+            f"of {tried} attempts at an absolute fix {self._believed} were believed: the ground "
+            "shows too little of itself, or the map is not of this place, scale and orientation",
+        )
 
     def _due(self, smoother: IncrementalSmoother, last: bool) -> int | None:
         """The anchor of the next attempt: the keyframe in the middle of the ground."""

@@ -229,7 +229,8 @@ class Navigator:
         finding = self._calibration.finding
         if finding is not None and finding.significant:
             found.append(f"{finding}; {'removed' if self._corrected else 'not removed'}")
-        return (*found, *self._frontend.warnings, *self._smoother.warnings)
+        of_map = () if self.localisation is None else self.localisation.warnings
+        return (*found, *self._frontend.warnings, *self._smoother.warnings, *of_map)
 
     def _new_smoother(self) -> IncrementalSmoother:
         return IncrementalSmoother(self.camera, self.rover_T_camera, self._start, self.config.graph)

@@ -11,6 +11,7 @@ from frontends.errors import InputError
 from frontends.measurements import StereoFrame, UnusableFrame, WheelOdometry
 from lunar_fg.datasets.association import composed
 from lunar_fg.graph.keyframe import Keyframe
+from lunar_fg.motion_config import LONGEST_STEADY
 from lunar_fg.plausibility import Episodes
 
 Frame = StereoFrame | UnusableFrame
@@ -30,24 +31,41 @@ class InOrder:
     def __init__(self, frames: Iterable[Frame]) -> None:
         self._frames = frames
         self._late = Episodes("came after a later one, or with an earlier stamp: left out")
+        self._missing = Episodes("never came, and the wheels say what they can of the way")
+        self._pauses: list[str] = []
 
     def __iter__(self) -> Iterator[Frame]:
         """Yield the frames that can be used."""
-        index, stamp_s = -1, -math.inf
+        before: Frame | None = None
+        # numbers go on by as much as they once did, and no pause is longer than the last by far
+        step, longest_s = 0, math.inf
         missed: list[WheelOdometry | None] = []
         for frame in self._frames:
-            if frame.index <= index or frame.stamp_s <= stamp_s:
+            if before is not None and (
+                frame.index <= before.index or frame.stamp_s <= before.stamp_s
+            ):
                 self._late.note(frame.index)
                 missed.append(frame.odometry)
                 continue
-            index, stamp_s = frame.index, frame.stamp_s
+            if before is not None:
+                gap, pause_s = frame.index - before.index, frame.stamp_s - before.stamp_s
+                if 0 < step < gap and not missed:
+                    self._missing.note(before.index + step, frame.index - 1)
+                elif pause_s > LONGEST_STEADY * longest_s:
+                    self._pauses.append(
+                        f"frame {frame.index}: {pause_s:.0f} s after the frame before: a pause, or "
+                        "the clock jumped"
+                    )
+                step = min(step, gap) if step else gap
+                longest_s = pause_s if longest_s == math.inf else max(longest_s, pause_s)
+            before = frame
             yield with_missed(frame, missed) if missed else frame
             missed = []
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What was left out so far, one sentence a run of frames."""
-        return self._late.sentences()
+        """What was left out or missing so far, one sentence a run of frames."""
+        return (*self._late.sentences(), *self._missing.sentences(), *self._pauses)
 
 
 def with_missed(frame: Frame, missed: Sequence[WheelOdometry | None]) -> Frame:

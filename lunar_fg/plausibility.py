@@ -25,7 +25,10 @@ FloatArray = NDArray[np.float64]
 #: A sound sensor is refused once in so many keyframes.
 _FALSE_ALARM = 1e-5
 _LARGEST_TILT_SIGMA_RAD = 1.0
-_MOTION_GATE, _TILT_GATE = (float(chi2.isf(_FALSE_ALARM, df)) for df in (6, 2))
+_MOTION_GATE, _TILT_GATE, _SLIP_GATE = (float(chi2.isf(_FALSE_ALARM, df)) for df in (6, 2, 1))
+#: What lasts for so many frames is usual.
+_LASTING = 50
+_MOST_TOLD = 5
 #: Noise is in every row: each eighth tells as well whether an image is a new one.
 _EVERY_ROW = 8
 
@@ -43,12 +46,13 @@ class Episodes:
     text: str
     _spans: list[tuple[int, int]] = field(default_factory=list)
 
-    def note(self, frame: int) -> None:
-        """Remember that it happened at a frame, too."""
+    def note(self, frame: int, last: int | None = None) -> None:
+        """Remember that it happened at a frame, too, or from there to a later one."""
+        last = frame if last is None else last
         if self._spans and frame - self._spans[-1][1] <= 2:
-            self._spans[-1] = (self._spans[-1][0], frame)
+            self._spans[-1] = (self._spans[-1][0], last)
         else:
-            self._spans.append((frame, frame))
+            self._spans.append((frame, last))
 
     def sentences(self) -> tuple[str, ...]:
         """One sentence a run of frames."""
@@ -156,10 +160,26 @@ class Plausibility:
         seen = relative.in_frames(self._rover_T_camera)
         difference = se3_log(inverse(odometry.a_T_b) @ seen.a_T_b)
         both = odometry.covariance + seen.covariance
-        if difference @ np.linalg.solve(both, difference) < _MOTION_GATE:
+        whole = difference @ np.linalg.solve(both, difference)
+        if whole < _MOTION_GATE and not self._slipped(odometry, seen, difference):
             return odometry
         self._slip.note(frame)
         return replace(odometry, covariance=odometry.covariance + np.outer(difference, difference))
+
+    def _slipped(self, odometry: Odometry, seen: RelativePose, difference: FloatArray) -> bool:
+        """Whether the wheels counted another distance, by what they err in one step.
+
+        The graph's covariance is that of independent steps which add up right: larger than of
+        one step alone, whose slip is that of the step before.
+        """
+        distance = max(float(np.linalg.norm(m.a_T_b[:3, 3])) for m in (odometry, seen))
+        if distance == 0.0:
+            return False
+        slip2 = (self._config.slip * distance) ** 2
+        added = slip2 * (1.0 / math.tanh(0.5 * distance / self._config.slip_length_m) - 1.0)
+        least = self._config.wheel_sigma_m**2 + slip2
+        variance = max(float(odometry.covariance[3, 3]) - added, least)
+        return float(difference[3] ** 2) > _SLIP_GATE * (variance + float(seen.covariance[3, 3]))
 
     def tilt(self, frame: int, tilt: Tilt | None, relative: RelativePose) -> Tilt | None:
         """Return the tilt, or None from where it jumped until it comes back.
@@ -227,6 +247,37 @@ def other_ground(before: Refound | None, now: Refound) -> bool:
         return False
     share = before.possible / (before.possible + now.possible)
     return float(nbinom.cdf(now.found, before.found + 0.5, share)) < _FALSE_ALARM
+
+
+class Richness:
+    """Notices images in which far fewer landmarks are found again than in those before."""
+
+    def __init__(self) -> None:
+        self._usual: Refound | None = None
+        self._lasting = 0
+        self._poor = Episodes(
+            "far fewer landmarks were found again than just before: dust, blur, exposure, shadow, "
+            "or poor ground"
+        )
+
+    def see(self, frame: int, now: Refound | None) -> None:
+        """Take in what a motion was seen by; None where it was not seen."""
+        if now is None:
+            return
+        if other_ground(self._usual, now) and self._lasting < _LASTING:
+            self._poor.note(frame)
+            self._lasting += 1
+        else:
+            self._usual, self._lasting = now, 0
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """One sentence a run of poor frames, of the first few."""
+        told = self._poor.sentences()
+        more = len(told) - _MOST_TOLD
+        if more <= 0:
+            return told
+        return (*told[:_MOST_TOLD], f"and {more} more times: {self._poor.text}")
 
 
 def was_carried(keyframe: Keyframe, config: MotionConfig) -> bool:

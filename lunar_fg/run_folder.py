@@ -22,7 +22,7 @@ from pydantic import BaseModel
 
 from frontends.errors import InputError
 from lunar_fg.arrays import DAMAGED
-from lunar_fg.datasets.tables import check_size
+from lunar_fg.bounded import check_size
 from lunar_fg.evaluation.metrics import Metrics
 from lunar_fg.trajectory import Trajectory, Truth
 from lunar_fg.trajectory_io import (

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from frontends.errors import InputError
-from lunar_fg.datasets.tables import check_size
+from lunar_fg.bounded import check_size
 from lunar_fg.mission_traverses import read_mission_traverse
 from lunar_fg.trajectory import PositionTrack, Trajectory, Truth, are_rigid
 

@@ -25,7 +25,7 @@ from frontends.measurements import (
     StereoObservations,
     Verdict,
 )
-from lunar_fg.datasets.tables import check_size
+from lunar_fg.bounded import check_size
 from lunar_fg.graph.keyframe import Keyframe
 
 #: Image size of KITTI's rectified sequence 00, px; the files do not hold it.

@@ -12,10 +12,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from frontends.errors import InputError
+from lunar_fg.bounded import MAX_BYTES
 from lunar_fg.datasets.base import FloatArray, GroundTruth
 from lunar_fg.datasets.schema import nearest_known
 
-MAX_BYTES = 200_000_000
 _LIMIT = 1e12
 
 
@@ -225,18 +225,6 @@ def read_numbers(path: Path, width: int) -> tuple[tuple[int, ...], list[list[flo
     if not rows:
         raise InputError("has no rows", source=path, remedy=f"give rows of {width} numbers")
     return tuple(lines), rows
-
-
-def check_size(path: Path) -> None:
-    """Raise InputError for a file that is larger than what is read of any table."""
-    try:
-        size = path.stat().st_size
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", source=path) from error
-    if size > MAX_BYTES:
-        raise InputError(
-            f"has {size} bytes, more than {MAX_BYTES}", source=path, remedy="split the run"
-        )
 
 
 def read_text(path: Path) -> str:

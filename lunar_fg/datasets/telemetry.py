@@ -14,7 +14,7 @@ import numpy as np
 
 from frontends.errors import InputError
 from frontends.measurements import FloatArray
-from lunar_fg.datasets.tables import check_size
+from lunar_fg.bounded import check_size
 
 _COLUMNS = ("RAW_X", "RAW_Y", "CORRECTED_X", "CORRECTED_Y")
 

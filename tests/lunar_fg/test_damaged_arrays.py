@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from frontends.errors import InputError
+from lunar_fg.bounded import MAX_BYTES
 from lunar_fg.checkpoint import Checkpoint
-from lunar_fg.datasets.tables import MAX_BYTES
 from lunar_fg.run_folder import RunFolder
 from lunar_fg.terrain_points import read_points
 from lunar_fg.trajectory import Trajectory

@@ -141,9 +141,10 @@ def test_a_refused_attempt_is_repeated_with_more_ground(world):
     estimate = world[3]
     smoother = Smoother(estimate, accepts=False)
     attempts = []
-    follow(world, estimate, smoother, attempts)
+    localisation = follow(world, estimate, smoother, attempts)
     frames = [fix.frame for fix in smoother.fixes]
     assert len(frames) >= 3
+    assert "0 were believed" in localisation.warnings[0]
     assert len(set(frames)) == len(frames)  # the ledger takes each keyframe once
     areas = [attempt.patch.area_m2 for attempt in attempts]
     assert areas[1] > areas[0]

@@ -126,3 +126,19 @@ def test_wheels_that_were_not_all_read_are_not_made_up():
     first, late, last = unusable(1, 1.0), unusable(0, 0.5), unusable(2, 2.0)
     last = replace(last, odometry=WheelOdometry(1.0, 0.0, 0.0))
     assert list(InOrder([first, late, last]))[1].odometry is None
+
+
+def test_frames_that_never_came_and_pauses_are_told_of():
+    indices = [0, 2, 4, 12, 14, 16, 18]
+    stamps = [0.0, 1.0, 2.0, 6.0, 7.0, 900.0, 901.0]
+    frames = InOrder([stereo(i, t) for i, t in zip(indices, stamps, strict=True)])
+    assert len(list(frames)) == 7
+    missing, pause = frames.warnings
+    assert missing.startswith("frames 6 to 11: never came")
+    assert pause.startswith("frame 16: 893 s after the frame before")
+
+
+def test_a_dataset_without_gaps_is_not_told_of():
+    frames = InOrder([stereo(5 * i, 3.0 * i + 0.5 * (i % 3)) for i in range(20)])
+    assert len(list(frames)) == 20
+    assert frames.warnings == ()

@@ -14,6 +14,7 @@ from lunar_fg.plausibility import (
     Episodes,
     Plausibility,
     Refound,
+    Richness,
     other_ground,
     was_carried,
 )
@@ -82,6 +83,38 @@ def test_other_ground_is_told_by_how_often_landmarks_are_found_again():
     assert not other_ground(Refound(300, 30), Refound(300, 10))
     assert not other_ground(None, Refound(300, 0))
     assert not other_ground(Refound(0, 0), Refound(300, 0))
+
+
+def test_poor_images_are_noticed_until_they_are_usual():
+    richness = Richness()
+    for frame, found in enumerate([100, 110, 95, 30, 28, 100, 104]):
+        richness.see(frame, Refound(300, found))
+    richness.see(7, None)  # not seen at all is told elsewhere
+    assert len(richness.warnings) == 1
+    assert richness.warnings[0].startswith("frames 3 to 4: far fewer landmarks")
+    for frame in range(8, 200):
+        richness.see(frame, Refound(300, 20))
+    [_, lasting] = richness.warnings
+    assert lasting.startswith("frames 8 to 57")
+    for frame in range(200, 230):
+        richness.see(frame, Refound(300, 150 if frame % 4 else 20))
+    assert len(richness.warnings) == 6
+    assert richness.warnings[-1].startswith("and ")
+
+
+def test_wheels_that_spin_on_the_spot_are_told_of():
+    plausibility = Plausibility(MOUNT)
+    step = np.eye(4)
+    step[0, 3] = 0.75
+    spun = step.copy()
+    spun[0, 3] = 1.46
+    sigma = 0.1 * 1.46 / np.sqrt(np.tanh(0.5 * 1.46 / MotionConfig().slip_length_m))
+    wheels = Odometry(spun, np.diag([0.1, 0.1, 0.02, sigma, sigma, sigma]) ** 2)
+    opened = plausibility.odometry(3, wheels, seen(step))
+    assert "slip" in plausibility.warnings[0]
+    assert opened.covariance[3, 3] > wheels.covariance[3, 3] + 0.4
+    sound = Odometry(step, wheels.covariance)
+    assert Plausibility(MOUNT).odometry(3, sound, seen(step)) is sound
 
 
 def test_counts_of_the_same_ground_raise_no_alarm():
