@@ -26,6 +26,7 @@ from lunar_fg.graph.ballot import NONE
 from lunar_fg.graph.cases import FixGraph
 from lunar_fg.graph.checks import check_covariance, check_fix, check_height, check_pose, check_size
 from lunar_fg.graph.config import GraphConfig
+from lunar_fg.graph.considered import ConsideredScale
 from lunar_fg.graph.fixes import FixJudge
 from lunar_fg.graph.fullgraph import FullGraph
 from lunar_fg.graph.keyframe import Entered, Keyframe, SmoothedTrajectory
@@ -33,7 +34,6 @@ from lunar_fg.graph.landmarks import in_rover_frames
 from lunar_fg.graph.ledger import FixDecision, Height, LedgerEntry, LoopClosure
 from lunar_fg.graph.planar import Planar, planar_of
 from lunar_fg.graph.posegraph import SegmentGraph, compose
-from lunar_fg.graph.scale import Anchors, FixedScale
 from lunar_fg.graph.setup import Setup
 
 NO_VERTICAL_WARNING = (
@@ -115,9 +115,7 @@ class IncrementalSmoother:
         self._index: list[int] = []
         self._stamp_s: list[float] = []
         self._vertical = False
-        self._scale_sigma = setup.config.scale_sigma
-        self._scale_warning: tuple[str, ...] = ()
-        self._anchors: Anchors | None = None
+        self._scale = ConsideredScale(setup, self._judge, self._index)
         self._before: tuple[FloatArray, FloatArray] | None = None
         self._failures: list[str] = []
 
@@ -125,9 +123,7 @@ class IncrementalSmoother:
     def warnings(self) -> tuple[str, ...]:
         """One line each for the run's warnings."""
         vertical = () if self._vertical or len(self._index) < 2 else (NO_VERTICAL_WARNING,)
-        if self._index:
-            self._fixed_at()
-        return (*vertical, *self._scale_warning, *self._graph.warnings, *self._failures)
+        return (*vertical, *self._scale.warning, *self._graph.warnings, *self._failures)
 
     def add_keyframe(
         self,
@@ -374,37 +370,11 @@ class IncrementalSmoother:
         self, frame: int, pose: FloatArray, covariance: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Pose and covariance of a keyframe, the error of the scale considered."""
-        rows = np.array([frame]), pose[None], covariance[None]
-        return pose, self._fixed_at().considered(*rows, self._scale_sigma)[0]
-
-    def _fixed_at(self) -> Anchors:
-        if self._anchors is None:
-            scale, moved = self._judge.fixed_scale(self._setup.config.scale_sigma)
-            self._take_scale(scale)
-            self._anchors = Anchors.of(
-                self._index[0],
-                self._setup.start.map_T_rover,
-                self.ledger,
-                {self._index[ordinal]: shift for ordinal, shift in moved.items()},
-            )
-        return self._anchors
-
-    def _take_scale(self, scale: FixedScale | None) -> None:
-        """Consider a scale as wrong as the fixes say, and say so where they contradict it."""
-        stated = self._setup.config.scale_sigma
-        self._scale_sigma = stated if scale is None else scale.considered(stated)
-        self._scale_warning = ()
-        if scale is not None and scale.contradicts(stated, self._setup.config.fix_gate_probability):
-            length = "long" if scale.excess > 0.0 else "short"
-            self._scale_warning = (
-                f"by the fixes the path is {100.0 * abs(scale.excess):.1f} % too {length} (sigma "
-                f"{100.0 * scale.sigma:.1f} %): check the baseline and the focal length; the "
-                "covariances allow for it",
-            )
+        return pose, self._scale.covariances([frame], pose[None], covariance[None])[0]
 
     def _refresh(self) -> None:
         """Carry the next estimate on from where the fix has put the rover."""
-        self._anchors = None
+        self._scale.changed()
         try:
             self._before = self._graph.latest()
         except EstimationError as error:
@@ -422,7 +392,7 @@ class IncrementalSmoother:
             raise EstimationError("the graph is empty: add a keyframe first")
         poses, covariances = self._graph.trajectory()
         index = np.array(self._index, dtype=np.int64)
-        covariances = self._fixed_at().considered(index, poses, covariances, self._scale_sigma)
+        covariances = self._scale.covariances(self._index, poses, covariances)
         return SmoothedTrajectory(index, np.array(self._stamp_s), poses, covariances)
 
     def finish(self) -> tuple[LedgerEntry, ...]:
