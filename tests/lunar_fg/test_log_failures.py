@@ -34,8 +34,8 @@ def entries():
 def test_a_full_database_is_one_clear_error_and_keeps_what_was_written(tmp_path: Path) -> None:
     path = tmp_path / "run.db"
     with TraverseLog.create(path, HEADER) as log:
-        (pages,) = log._db.execute("PRAGMA page_count").fetchone()
-        log._db.execute(f"PRAGMA max_page_count={pages + 15}")
+        (pages,) = log._file.connection.execute("PRAGMA page_count").fetchone()
+        log._file.connection.execute(f"PRAGMA max_page_count={pages + 15}")
 
         def fill() -> None:
             for keyframe, estimate in entries():
@@ -142,7 +142,7 @@ def test_a_damaged_checkpoint_is_named(tmp_path: Path) -> None:
     with TraverseLog.create(path, HEADER) as log:
         log.append(*entries()[0], checkpoint=Checkpoint())
         for damage in (b"", b"not an archive", Checkpoint().to_bytes()[:-40]):
-            log._db.execute("UPDATE checkpoint SET state = ?", (damage,))
+            log._file.connection.execute("UPDATE checkpoint SET state = ?", (damage,))
             with pytest.raises(InputError, match="damaged checkpoint"):
                 log.checkpoint()
 
