@@ -20,6 +20,7 @@ from lunar_fg.checkpoint import Checkpoint
 from lunar_fg.graph import IncrementalSmoother
 from lunar_fg.log import SCHEMA_VERSION, TraverseLog
 from lunar_fg.log_entries import RunHeader
+from lunar_fg.log_file import LogFile
 from lunar_fg.simulation.measurements import TraverseSpec, simulate
 
 DRIVE = simulate(TraverseSpec(keyframes=12, landmarks=40, odometry=True, tilt=True), seed=3)
@@ -103,7 +104,7 @@ def test_a_log_on_a_read_only_place_can_be_read_but_not_gone_on_with(tmp_path: P
     path = written_log(tmp_path / "run.db")
     before = path.read_bytes()
     read_only = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)
-    log = TraverseLog(path, read_only)
+    log = TraverseLog(LogFile(path, read_only))
     with pytest.raises(InputError, match=r"cannot be written.*readonly"):
         log.append(*entries()[0])
     log.close()
