@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from frontends.camera import StereoCamera
 from frontends.matching import match_descriptors
 from frontends.measurements import StereoFrame
-from frontends.stereo import StereoFeatures, StereoPerception
+from frontends.stereo import StereoConfig, StereoFeatures, StereoPerception
 from frontends.surf import SURF, warmup
 
 LEFT = "msl-navcam-pair/NLB_524534514EDR_F0562034NCAM00280M_.jpeg"
@@ -174,7 +174,7 @@ def rectified(left: Image, right: Image) -> tuple[Image, Image, StereoCamera]:
 def pair_tasks(left: Image, right: Image) -> tuple[dict[str, Callable[[], object]], StereoFeatures]:
     """Two grey images to triangulated points, or to matches with OpenCV."""
     left, right, camera = rectified(left, right)
-    perception = StereoPerception(camera)
+    perception = StereoPerception(camera, StereoConfig(max_keypoints=KEYPOINTS))
     frame = StereoFrame(0, 0.0, left, right, camera)
     tasks: dict[str, Callable[[], object]] = {"lunar-fg": lambda: perception.perceive(frame)}
     for name, detector, norm in (
