@@ -1,4 +1,4 @@
-"""How a small piece of ground looks from another place: the affine warp of its image.
+"""How a small piece of ground looks from another place: the warp of its image.
 
 A rectified pair shows the ground's slope: disparity is the inverse depth in the units of baseline
 times focal length, and on a plane it is linear in the image,
@@ -6,7 +6,8 @@ times focal length, and on a plane it is linear in the image,
     1 / Z = (D + d_u (u - u0) + d_v (v - v0)) / (B f).
 
 So the ray of each pixel reaches the plane at R ray + t / Z of the other camera, but for the
-scale, which is linear in u and v as well, and its projection's derivative is the warp. On ground
+scale, which is linear in u and v as well: a pixel p beside the landmark is seen at A p / (1 + g p)
+beside it. On ground
 that the rover approaches the image grows by the square of the ratio of distances along v, and by
 the ratio along u.
 """
@@ -26,8 +27,8 @@ _LEAST_DEPTH_M = 1e-3
 
 def surface_warp(
     camera: StereoCamera, a_T_b: FloatArray, points_a: FloatArray, slope: FloatArray
-) -> FloatArray:
-    """Derivative of image b's coordinates of a surface by those of image a.
+) -> tuple[FloatArray, FloatArray]:
+    """Warp A and bend g of the surface around landmarks from image a to image b.
 
     Parameters
     ----------
@@ -42,8 +43,8 @@ def surface_warp(
 
     Returns
     -------
-    FloatArray
-        (N, 2, 2), px per px.
+    warp, bend
+        (N, 2, 2) px per px, (N, 2) per px.
     """
     b_T_a = inverse(a_T_b)
     rotation, translation = b_T_a[:3, :3], b_T_a[:3, 3]
@@ -58,4 +59,5 @@ def surface_warp(
         for row, focal in enumerate((camera.fx, camera.fy)):
             moved = along[:, row] - seen[:, row] / scale * along[:, 2]
             warp[:, row, column] = focal * moved / scale
-    return warp
+    bend = np.stack([along_u[:, 2], along_v[:, 2]], axis=-1) / scale[:, None]
+    return warp, bend

@@ -25,7 +25,7 @@ FloatArray = NDArray[np.float64]
 
 #: Between the errors of any two landmarks: they look at the same rocks under the same light
 #: from the same side.
-LANDMARK_CORRELATION = 0.008
+LANDMARK_CORRELATION = 0.005
 
 
 _DOES_NOT_HOLD = "the motion does not hold after refinement"

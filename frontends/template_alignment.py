@@ -41,6 +41,7 @@ _UNEXPLAINED = 0.4
 #: After so many steps, a patch that leaves this share unexplained is not the same.
 _PATIENCE, _HOPELESS = 3, 0.8
 _LEAST_DETERMINANT = 0.3
+_LEAST_DENOMINATOR = 0.5
 #: Largest side of what a warped patch covers, px.
 _REGION = 56
 
@@ -103,14 +104,17 @@ def _weigh(J: Floats, grid: Floats, WJ: Floats, normal: FloatArray) -> None:
 @njit
 def _sample(
     pixels: NDArray[np.uint8], height: int, width: int, u: float, v: float, A: FloatArray,
-    mean: np.float32, region: Floats, R: Floats,
+    bend: FloatArray, mean: np.float32, region: Floats, R: Floats,
 ) -> bool:  # fmt: skip
-    """Patch R of an image, warped by A around u, v, less `mean`; False where it leaves the image.
+    """Patch R of an image, warped around u, v, less `mean`; False where it leaves the image.
 
     Bilinear: the Jacobian is the template's, so what the interpolation blurs moves nothing.
     """
-    reach_u = MIDDLE * (abs(A[0, 0]) + abs(A[0, 1])) + 1.0
-    reach_v = MIDDLE * (abs(A[1, 0]) + abs(A[1, 1])) + 1.0
+    least = 1.0 - MIDDLE * (abs(bend[0]) + abs(bend[1]))
+    if least < _LEAST_DENOMINATOR:
+        return False
+    reach_u = MIDDLE * (abs(A[0, 0]) + abs(A[0, 1])) / least + 1.0
+    reach_v = MIDDLE * (abs(A[1, 0]) + abs(A[1, 1])) / least + 1.0
     if min(u - reach_u, v - reach_v) < 0 or u + reach_u + 2 > width or v + reach_v + 2 > height:
         return False
     columns, lines = int(2.0 * reach_u) + 2, int(2.0 * reach_v) + 2
@@ -124,14 +128,16 @@ def _sample(
         for i in range(_u64(columns)):
             region[out + i] = _f32(pixels[source + i]) - mean
     uu, uv, vu, vv = _f32(A[0, 0]), _f32(A[0, 1]), _f32(A[1, 0]), _f32(A[1, 1])
+    bend_u, bend_v = _f32(bend[0]), _f32(bend[1])
     stride = _i32(_REGION)
     for j in range(SIDE):
         q = _f32(j) - _f32(MIDDLE)
-        row_u = u0 + uv * q - uu * _f32(MIDDLE)
-        row_v = v0 + vv * q - vu * _f32(MIDDLE)
+        row_u, row_v, row_w = uv * q, vv * q, _f32(1) + bend_v * q
         out = _u64(j * SIDE)
         for i in range(_u64(SIDE)):
-            x, y = row_u + uu * _f32(i), row_v + vu * _f32(i)
+            p = _f32(i) - _f32(MIDDLE)
+            nearer = _f32(1) / (row_w + bend_u * p)
+            x, y = u0 + (row_u + uu * p) * nearer, v0 + (row_v + vu * p) * nearer
             column, line = _i32(x), _i32(y)
             x, y = x - _f32(column), y - _f32(line)
             k = _u64(line * stride + column)
@@ -180,14 +186,14 @@ def _variance(normal: FloatArray, offset: FloatArray, x: FloatArray, y: FloatArr
 @kernel
 def follow_all(
     image: Image, templates: NDArray[np.uint8], offset: FloatArray, start: FloatArray,
-    warp: FloatArray, reach: FloatArray, grid: Floats, result: FloatArray,
+    warp: FloatArray, bend: FloatArray, reach: FloatArray, grid: Floats, result: FloatArray,
     found: NDArray[np.bool_],
 ) -> None:  # fmt: skip
     """Align N templates with an image.
 
     Landmarks lie at `offset` (N, 2) from the templates' middles, are expected at `start` (N, 2)
     and are not found farther than `reach` (N,) from there, px. `warp` (N, 2, 2) is replaced where
-    `found`. The columns of `result` are u, v and 1-sigma, px.
+    `found`, `bend` (N, 2) is not. The columns of `result` are u, v and 1-sigma, px.
     """
     height, width = image.shape
     pixels = image.reshape(-1)
@@ -208,13 +214,15 @@ def follow_all(
         if not factorise(normal, _PRIOR):
             continue
         A[:] = warp[n]
-        u = start[n, 0] - A[0, 0] * offset[n, 0] - A[0, 1] * offset[n, 1]
-        v = start[n, 1] - A[1, 0] * offset[n, 0] - A[1, 1] * offset[n, 1]
+        aside = 1.0 + bend[n, 0] * offset[n, 0] + bend[n, 1] * offset[n, 1]
+        offset_u, offset_v = offset[n, 0] / aside, offset[n, 1] / aside
+        u = start[n, 0] - A[0, 0] * offset_u - A[0, 1] * offset_v
+        v = start[n, 1] - A[1, 0] * offset_u - A[1, 1] * offset_v
         moved[:] = 0.0
         gain, step, unexplained, variance = 1.0, 0.0, 0.0, 0.0
         converged = False
         for tried in range(_ITERATIONS):
-            if not _sample(pixels, height, width, u, v, A, mean, region, R):
+            if not _sample(pixels, height, width, u, v, A, bend[n], mean, region, R):
                 break
             total = _f32(0)
             for p in range(_u64(AREA)):
@@ -254,8 +262,8 @@ def follow_all(
         noise = max(unexplained, 0.0) / (freedom * gain * gain)
         spread = noise * ratio * _variance(normal, offset[n], x, moment)
         stretch = abs(A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0])
-        result[n, 0] = u + A[0, 0] * offset[n, 0] + A[0, 1] * offset[n, 1]
-        result[n, 1] = v + A[1, 0] * offset[n, 0] + A[1, 1] * offset[n, 1]
+        result[n, 0] = u + A[0, 0] * offset_u + A[0, 1] * offset_v
+        result[n, 1] = v + A[1, 0] * offset_u + A[1, 1] * offset_v
         result[n, 2] = np.sqrt(spread * stretch + step * step)
         shift = max(abs(result[n, 0] - start[n, 0]), abs(result[n, 1] - start[n, 1]))
         if unexplained <= _UNEXPLAINED * variance and shift <= reach[n]:

@@ -217,12 +217,11 @@ class LandmarkTracker:
         """
         rows = np.flatnonzero(_agreeing(tracks, relative))
         seen, feature = tracks.observations_b.select(rows), tracks.feature[rows]
-        turned = surface_warp(
+        warp, bend = surface_warp(
             self.camera, relative.a_T_b, tracks.points_a[rows], tracks.slope[rows]
         )
+        templates = tracks.templates.select(rows).turned(warp, bend)
         start = np.stack([seen.u_left, seen.v], axis=-1)
-        templates = tracks.templates.select(rows)
-        templates = replace(templates, warp=turned @ templates.warp)
         found = templates.follow(image, start, _REACH_SIGMAS * seen.sigma_px)
         agreeing, rows, feature, uv = (
             rows,
@@ -242,12 +241,12 @@ class LandmarkTracker:
             np.hypot(found.sigma_px[found.found], self.config.template_sigma_px),
             features.observations.sigma_disparity_px[feature],
         )
-        warp, is_followed = tracks.templates.warp.copy(), tracks.followed.copy()
-        warp[agreeing], is_followed[rows] = found.warp, True
+        is_followed = tracks.followed.copy()
+        is_followed[rows] = True
         return replace(
             tracks,
             observations_b=tracks.observations_b.replaced(rows, followed),
-            templates=replace(tracks.templates, warp=warp),
+            templates=tracks.templates.replaced(agreeing, replace(templates, warp=found.warp)),
             followed=is_followed,
         )
 

@@ -18,7 +18,7 @@ _MEMORY = (
     "landmark_id", "descriptors", "laplacian", "points", "covariance", "unseen",
     "first_depth_m", "slope",
 )  # fmt: skip
-_TEMPLATES = ("pixels", "offset", "warp", "sigma_px")
+_TEMPLATES = ("pixels", "offset", "warp", "bend", "sigma_px")
 _FINDING = ("field_px", "border_px", "border_sigma_px", "chance", "significant", "pairs")
 
 
