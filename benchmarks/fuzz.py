@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 
 from frontends.errors import LunarFgError
-from lunar_fg import runs
+from lunar_fg import offline, runs
 from lunar_fg.campaign.results import Results
 from lunar_fg.campaign.study import read_study
 from lunar_fg.campaign.trial import Outcome
@@ -64,7 +64,7 @@ def run_dataset(folder: Path) -> None:
 
 
 def use_log(folder: Path) -> None:
-    runs.optimize(RunFolder.open(folder))
+    offline.optimize(RunFolder.open(folder))
 
 
 def compare_files(folder: Path) -> None:

@@ -26,8 +26,8 @@ from lunar_fg.config import Config
 from lunar_fg.datasets import Dataset, open_dataset
 from lunar_fg.evaluation import Accuracy
 from lunar_fg.navigator import Navigator
-from lunar_fg.runs import compare, truth_of
 from lunar_fg.stopwatch import Stopwatch
+from lunar_fg.truth import compare, truth_of
 
 KEYPOINTS = 1500
 Times = dict[str, list[float]]

@@ -27,9 +27,9 @@ from lunar_fg.datasets.base import Dataset
 from lunar_fg.log import TraverseLog
 from lunar_fg.log_entries import RunHeader
 from lunar_fg.navigator import Navigator
-from lunar_fg.runs import compare, truth_of
 from lunar_fg.simulation.cache import cached_dataset
 from lunar_fg.simulation.spec import checked_spec
+from lunar_fg.truth import compare, truth_of
 
 #: Tenths that a second navigator runs before it is compared.
 RUN_IN = 1

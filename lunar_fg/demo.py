@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from frontends.measurements import Estimate, Verdict
-from lunar_fg import runs
+from lunar_fg import offline, runs
 from lunar_fg.config import Config
 from lunar_fg.datasets.base import Dataset
 from lunar_fg.evaluation import Accuracy
@@ -15,6 +15,7 @@ from lunar_fg.log import TraverseLog
 from lunar_fg.replay import without_fixes
 from lunar_fg.run_folder import RunFolder
 from lunar_fg.run_source import RunSource
+from lunar_fg.truth import compare
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +64,7 @@ def demo(
 
     RunSource.of(dataset).write(folder)
     metrics = runs.run(dataset, folder, Config(), on_estimate)
-    _, batch = runs.optimize(folder)
+    _, batch = offline.optimize(folder)
     truth = folder.read_truth()
     with TraverseLog.open(folder.database_path) as log:
         ledger = log.ledger()
@@ -73,8 +74,8 @@ def demo(
         metrics.frames,
         metrics.frames_lost,
         metrics.dead_reckoning or Accuracy(),
-        runs.compare(without_fixes(folder), truth),
-        runs.compare(folder.read_trajectory(), truth),
+        compare(without_fixes(folder), truth),
+        compare(folder.read_trajectory(), truth),
         batch,
         sum(entry.ruling.verdict is Verdict.ACCEPTED for entry in ledger),
         len(ledger),

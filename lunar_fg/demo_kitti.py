@@ -23,9 +23,9 @@ from lunar_fg.graph.incremental import IncrementalSmoother
 from lunar_fg.log import TraverseLog
 from lunar_fg.log_entries import RunHeader
 from lunar_fg.run_folder import RunFolder
-from lunar_fg.runs import as_trajectory, compare
 from lunar_fg.trajectory import Trajectory, Truth
 from lunar_fg.trajectory_io import read_trajectory
+from lunar_fg.truth import as_trajectory, compare
 
 
 @dataclass(frozen=True, slots=True)

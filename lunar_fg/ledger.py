@@ -16,8 +16,8 @@ from lunar_fg.graph.incremental import IncrementalSmoother
 from lunar_fg.graph.ledger import FixDecision, Height, LedgerEntry, LoopClosure
 from lunar_fg.log import TraverseLog
 from lunar_fg.run_folder import RunFolder, write_whole
-from lunar_fg.runs import as_trajectory, compare
 from lunar_fg.trajectory import Trajectory
+from lunar_fg.truth import as_trajectory, compare
 
 
 def read_ledger(folder: RunFolder) -> list[LedgerEntry]:

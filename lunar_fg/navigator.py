@@ -53,7 +53,7 @@ class Navigator:
     start
         Where the rover starts; the map's origin by default.
     log
-        Where every measurement and estimate is kept, for `lunar_fg.runs.optimize`.
+        Where every measurement and estimate is kept, for `lunar_fg.offline.optimize`.
     detector
         Feature detector; upright SURF by default.
     stopwatch

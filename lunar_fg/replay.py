@@ -18,8 +18,9 @@ from lunar_fg.motion_config import MotionConfig
 from lunar_fg.plausibility import Plausibility, was_carried
 from lunar_fg.record import dead_reckoning_of
 from lunar_fg.run_folder import RunFolder
-from lunar_fg.runs import as_trajectory, compare, config_of
+from lunar_fg.runs import config_of
 from lunar_fg.trajectory import Trajectory
+from lunar_fg.truth import as_trajectory, compare
 
 
 def replay(source: RunFolder, target: RunFolder, config: Config) -> Metrics:

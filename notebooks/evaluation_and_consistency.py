@@ -21,7 +21,7 @@ import matplotlib.pyplot as plt
 from lunar_fg.datasets.landmarks import read_landmarks
 from lunar_fg.evaluation import evaluate
 from lunar_fg.graph import IncrementalSmoother, optimize_batch
-from lunar_fg.runs import as_trajectory
+from lunar_fg.truth import as_trajectory
 
 sequence = read_landmarks("00")
 smoother = IncrementalSmoother(sequence.camera, sequence.rover_T_camera, sequence.start)

@@ -28,7 +28,7 @@ from frontends.detector import OpenCVDetector
 from lunar_fg.datasets import open_dataset
 from lunar_fg.evaluation import evaluate
 from lunar_fg.navigator import Navigator
-from lunar_fg.runs import truth_of
+from lunar_fg.truth import truth_of
 
 data = Path(os.environ.get("LUNAR_FG_DATA", "../../shared/data"))
 drive = open_dataset(data / "kitti-06-000-050")

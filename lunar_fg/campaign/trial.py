@@ -22,9 +22,10 @@ from lunar_fg.faults import parse_fault
 from lunar_fg.graph.incremental import IncrementalSmoother
 from lunar_fg.log import TraverseLog
 from lunar_fg.run_folder import RunFolder
-from lunar_fg.runs import as_trajectory, run, truth_of
+from lunar_fg.runs import run
 from lunar_fg.simulation.measurements import simulate
 from lunar_fg.trajectory import Trajectory, Truth
+from lunar_fg.truth import as_trajectory, truth_of
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from lunar_fg import runs
+from lunar_fg import offline
 from lunar_fg.commands.shared import out
 from lunar_fg.console import accuracy_table, convergence_table
 from lunar_fg.graph.pose_batch import optimize_poses
@@ -30,7 +30,7 @@ def optimize(
     if run_folder.suffix == ".g2o" and not run_folder.is_dir():
         _optimize_file(run_folder)
         return
-    report, accuracy = runs.optimize(RunFolder.open(run_folder))
+    report, accuracy = offline.optimize(RunFolder.open(run_folder))
     out.print(
         f"batch: {report.factors} factors, {report.landmarks} landmarks, "
         f"{report.iterations} iterations, cost {report.cost_before:.1f} -> "

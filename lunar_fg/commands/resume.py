@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from lunar_fg import runs
+from lunar_fg import runs, sittings
 from lunar_fg.commands.progress import navigating
 from lunar_fg.commands.shared import out
 from lunar_fg.console import run_summary
@@ -31,7 +31,7 @@ def resume(
     Example: lunar-fg resume runs/first
     """
     folder = RunFolder.open(run_folder)
-    sitting = runs.last_sitting(folder)
+    sitting = sittings.last_sitting(folder)
     if dataset is not None:
         sitting = replace(sitting, dataset=str(dataset))
     calibration = [Path(path) for path in sitting.calibration]
@@ -43,7 +43,7 @@ def resume(
         opened = FaultyDataset(opened, faults, runs.settings_of(folder).seed, folder.path)
     route = route_of(folder, opened)
     with navigating(folder, opened.name, len(opened)) as advance:
-        metrics = runs.resume(opened, folder, advance, route)
+        metrics = sittings.resume(opened, folder, advance, route)
     out.print(run_summary(opened.name, metrics, run_folder), markup=False)
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from lunar_fg import runs
+from lunar_fg import runs, sittings
 from lunar_fg.commands.follow import follow as follow_command
 from lunar_fg.commands.progress import navigating
 from lunar_fg.commands.resume import route_of
@@ -115,7 +115,7 @@ def run(
         folder = RunFolder.open(output)
         with navigating(folder, opened.name, len(opened)) as advance:
             planned = route_of(folder, opened)
-            metrics = runs.append(opened, folder, sitting, gap, advance, planned)
+            metrics = sittings.append(opened, folder, sitting, gap, advance, planned)
     else:
         settings = _settings(config, seed)
         if ortho is not None or dem is not None:

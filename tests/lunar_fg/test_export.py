@@ -20,9 +20,9 @@ from lunar_fg.log import TraverseLog
 from lunar_fg.log_entries import RunHeader
 from lunar_fg.pose_graph import PoseEdge, PoseGraph, g2o_text, read_g2o
 from lunar_fg.run_folder import RunFolder
-from lunar_fg.runs import as_trajectory
 from lunar_fg.simulation.measurements import TraverseSpec, simulate
 from lunar_fg.trajectory_io import read_trajectory
+from lunar_fg.truth import as_trajectory
 
 
 def lunar_fg(*arguments: object) -> Result:

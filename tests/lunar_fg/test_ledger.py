@@ -18,9 +18,9 @@ from lunar_fg.ledger import overrule, read_ledger
 from lunar_fg.log import TraverseLog
 from lunar_fg.log_entries import RunHeader
 from lunar_fg.run_folder import RunFolder
-from lunar_fg.runs import as_trajectory, compare
 from lunar_fg.simulation.measurements import TraverseSpec, simulate
 from lunar_fg.trajectory import Trajectory
+from lunar_fg.truth import as_trajectory, compare
 
 COVARIANCE = np.diag([0.01, 0.01, 1e-4])
 

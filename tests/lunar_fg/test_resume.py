@@ -19,7 +19,7 @@ from synthetic import Scene, arc, write_drive
 from typer.testing import CliRunner, Result
 
 from frontends.errors import InputError
-from lunar_fg import runs
+from lunar_fg import runs, sittings
 from lunar_fg.cli import app
 from lunar_fg.config import Config, read_config
 from lunar_fg.datasets import open_dataset
@@ -93,7 +93,7 @@ def test_a_run_goes_on_from_any_frame(snapshots: list[Path], drive: Path, frames
     folder = RunFolder.open(snapshots[frames - 1])
     with TraverseLog.open(folder.database_path) as log:
         assert len(log.keyframes()) == frames
-    runs.resume(open_dataset(drive), folder)
+    sittings.resume(open_dataset(drive), folder)
     same_results(folder.path, snapshots[-1])
 
 
@@ -154,8 +154,8 @@ def test_one_writer_at_a_time(snapshots: list[Path], drive: Path, tmp_path: Path
         TraverseLog.reopen(folder.database_path),
         pytest.raises(InputError, match="another process"),
     ):
-        runs.resume(open_dataset(drive), folder)
-    runs.resume(open_dataset(drive), folder)
+        sittings.resume(open_dataset(drive), folder)
+    sittings.resume(open_dataset(drive), folder)
 
 
 def test_what_cannot_be_resumed_is_named(
