@@ -31,7 +31,8 @@ class InOrder:
     def __init__(self, frames: Iterable[Frame]) -> None:
         self._frames = frames
         self._late = Episodes("came after a later one, or with an earlier stamp: left out")
-        self._missing = Episodes("never came, and the wheels say what they can of the way")
+        self._out_of_turn: set[int] = set()
+        self._missing: list[tuple[int, int]] = []
         self._pauses: list[str] = []
 
     def __iter__(self) -> Iterator[Frame]:
@@ -45,13 +46,14 @@ class InOrder:
                 frame.index <= before.index or frame.stamp_s <= before.stamp_s
             ):
                 self._late.note(frame.index)
+                self._out_of_turn.add(frame.index)
                 missed.append(frame.odometry)
                 continue
             if before is not None:
                 gap, pause_s = frame.index - before.index, frame.stamp_s - before.stamp_s
                 if 0 < step < gap and not missed:
-                    self._missing.note(before.index + step, frame.index - 1)
-                elif pause_s > LONGEST_STEADY * longest_s:
+                    self._missing.append((before.index + step, frame.index - step))
+                elif pause_s > LONGEST_STEADY * longest_s and not missed:
                     self._pauses.append(
                         f"frame {frame.index}: {pause_s:.0f} s after the frame before: a pause, or "
                         "the clock jumped"
@@ -65,7 +67,11 @@ class InOrder:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What was left out or missing so far, one sentence a run of frames."""
-        return (*self._late.sentences(), *self._missing.sentences(), *self._pauses)
+        missing = Episodes("never came, and the wheels say what they can of the way")
+        for first, last in self._missing:
+            if first not in self._out_of_turn:
+                missing.note(first, last)
+        return (*self._late.sentences(), *missing.sentences(), *self._pauses)
 
 
 def with_missed(frame: Frame, missed: Sequence[WheelOdometry | None]) -> Frame:

@@ -134,8 +134,15 @@ def test_frames_that_never_came_and_pauses_are_told_of():
     frames = InOrder([stereo(i, t) for i, t in zip(indices, stamps, strict=True)])
     assert len(list(frames)) == 7
     missing, pause = frames.warnings
-    assert missing.startswith("frames 6 to 11: never came")
+    assert missing.startswith("frames 6 to 10: never came")
     assert pause.startswith("frame 16: 893 s after the frame before")
+
+
+def test_a_frame_that_comes_late_has_come():
+    frames = InOrder([stereo(i, float(i)) for i in (0, 1, 3, 2, 4)])
+    assert [frame.index for frame in frames] == [0, 1, 3, 4]
+    [late] = frames.warnings
+    assert "came after a later one" in late
 
 
 def test_a_dataset_without_gaps_is_not_told_of():
