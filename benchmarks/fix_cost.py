@@ -164,7 +164,7 @@ def _off_optimum(smoother: IncrementalSmoother) -> float:
     """Largest distance (m) of a pose of the graph from where it belongs by all its factors."""
     graph = smoother._graph._isam  # type: ignore[attr-defined]
     here = graph._isam.calculateEstimate()
-    there = descend(graph._factors, here, 100).values
+    there = descend(graph._books.factors, here, 100).values
     gap = [here.atPose3(k).translation() - there.atPose3(k).translation() for k in there.keys()]  # noqa: SIM118
     return _largest(np.array(gap))
 

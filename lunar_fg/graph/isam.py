@@ -10,7 +10,8 @@ import numpy as np
 
 from frontends.errors import EstimationError
 from frontends.measurements import FloatArray
-from lunar_fg.graph.descent import descend, named_landmark, values_without, without
+from lunar_fg.graph.books import Books
+from lunar_fg.graph.descent import descend, named_landmark, values_without
 from lunar_fg.graph.snapshots import Snapshot, Snapshots, moved_along
 
 _MOST_SETTLING_STEPS = 100
@@ -68,10 +69,8 @@ class GuardedIsam:
         self._skip = relinearize_skip
         self._snapshots = Snapshots(snapshots)
         self._unsound = unsound or (lambda _: set())
-        self._factors = gtsam.NonlinearFactorGraph()
+        self._books = Books()
         self._initial = gtsam.Values()
-        self._named: dict[str, int] = {}
-        self._holes = False
         self._isam = self._fresh()
         self._warnings: tuple[str, ...] = ()
 
@@ -91,10 +90,10 @@ class GuardedIsam:
     def _rebuild(self, values: gtsam.Values) -> None:
         isam = self._fresh()
         self._snapshots.clear()
-        self._fill_holes()
+        self._books = self._books.cleared()
         try:
-            if self._factors.size():
-                isam.update(self._factors, values)
+            if len(self._books):
+                isam.update(self._books.factors, values)
         except _GTSAM_ERRORS as error:
             if self._qr:
                 raise EstimationError(
@@ -104,11 +103,6 @@ class GuardedIsam:
             self._rebuild(values)
             return
         self._isam = isam
-
-    def _fill_holes(self) -> None:
-        if self._holes:
-            self._renumber(set())
-            self._factors, self._holes = without(self._factors, set()), False
 
     def update(
         self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, frame: int
@@ -133,7 +127,7 @@ class GuardedIsam:
             _require_finite(self._isam, values)
         except _GTSAM_ERRORS as error:
             return self._recover(factors, values, frame, error)
-        self._factors.push_back(factors)
+        self._books.factors.push_back(factors)
         self._initial.insert(values)
         return set()
 
@@ -150,14 +144,14 @@ class GuardedIsam:
             When the graph cannot be solved so; it is as it was before the call.
         """
         if leaving:
-            wanted = ({*self._named} - {*leaving}) | {*entering}
-            back = self._snapshots.take(wanted, int(self._factors.size()))
+            wanted = ({*self._books.named} - {*leaving}) | {*entering}
+            back = self._snapshots.take(wanted, len(self._books))
             if back is not None and self._go_back(back, entering, wanted):
                 return
         before, factors = gtsam.ISAM2(self._isam), gtsam.NonlinearFactorGraph()
         for factor in entering.values():
             factors.add(factor)
-        gone = [self._named[name] for name in leaving]
+        gone = [self._books.named[name] for name in leaving]
         try:
             _carry(self._isam, factors, gtsam.Values(), gone)
         except _GTSAM_ERRORS as error:
@@ -167,9 +161,8 @@ class GuardedIsam:
                 f"({_first_line(error)})"
             ) from error
         if entering:
-            books = gtsam.NonlinearFactorGraph(self._factors)
-            self._snapshots.keep(Snapshot(before, books, dict(self._named)))
-        self._rename(entering, leaving)
+            self._snapshots.keep(Snapshot(before, self._books.copy()))
+        self._books.exchange(entering, leaving)
 
     def exchange_from(
         self,
@@ -190,27 +183,15 @@ class GuardedIsam:
         EstimationError
             As for `exchange`.
         """
-        before = self._factors, dict(self._named), self._holes
-        self._factors = gtsam.NonlinearFactorGraph(self._factors)
-        self._rename(entering, leaving)
+        before, self._books = self._books, self._books.copy()
+        self._books.exchange(entering, leaving)
         try:
             return self._settle(values)
         except EstimationError as error:
-            self._factors, self._named, self._holes = before
+            self._books = before
             raise EstimationError(
                 f"keyframe {frame}: the map measurement is left out ({error})"
             ) from error
-
-    def _rename(
-        self, entering: Mapping[str, gtsam.NonlinearFactor], leaving: Collection[str]
-    ) -> None:
-        """Exchange named factors in the books."""
-        for name in leaving:
-            self._factors.remove(self._named.pop(name))
-            self._holes = True
-        for name, factor in entering.items():
-            self._named[name] = int(self._factors.size())
-            self._factors.add(factor)
 
     def _go_back(
         self,
@@ -219,22 +200,7 @@ class GuardedIsam:
         wanted: Collection[str],
     ) -> bool:
         """Go on from a snapshot with what came since and is wanted; whether that can be solved."""
-        names = {slot: name for name, slot in self._named.items()}
-        named, books = dict(back.named), back.factors
-        since = gtsam.NonlinearFactorGraph()
-        for slot in range(books.size(), self._factors.size()):
-            name = names.get(slot)
-            if not self._factors.exists(slot):
-                continue
-            if name is not None:
-                if name in named or name not in wanted:
-                    continue
-                named[name] = int(books.size() + since.size())
-            since.add(self._factors.at(slot))
-        for name, factor in entering.items():
-            if name not in named:
-                named[name] = int(books.size() + since.size())
-                since.add(factor)
+        since, books = self._books.since(back.books, entering, wanted)
         keys = list(since.keyVector())
         new = [key for key in keys if not back.isam.valueExists(key)]
         poses = {key for key in keys if _is_pose(key)}
@@ -242,8 +208,7 @@ class GuardedIsam:
             _carry(back.isam, since, moved_along(new, self._isam, back.isam, poses), [])
         except _GTSAM_ERRORS:
             return False
-        books.push_back(since)
-        self._isam, self._factors, self._named = back.isam, books, named
+        self._isam, self._books = back.isam, books
         return True
 
     def start_anew(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
@@ -254,45 +219,22 @@ class GuardedIsam:
         EstimationError
             When even they cannot be solved.
         """
-        for name, i in self._named.items():
-            factor, self._named[name] = self._factors.at(i), int(factors.size())
-            factors.add(factor)
-        self._factors, self._initial, self._holes, self._qr = factors, values, False, True
+        self._books, self._initial, self._qr = self._books.only_named(factors), values, True
         self._rebuild(values)
-
-    def _renumber(self, landmarks: set[int]) -> None:
-        """Follow the named factors when the books are cleared of landmarks and of holes."""
-        new: dict[int, int] = {}
-        wanted = set(self._named.values())
-        count = 0
-        for i in range(self._factors.size() if wanted else 0):
-            if self._factors.exists(i) and landmarks.isdisjoint(self._factors.at(i).keys()):
-                if i in wanted:
-                    new[i] = count
-                count += 1
-        self._named = {name: new[i] for name, i in self._named.items()}
 
     def remove(self, landmarks: set[int]) -> None:
         """Take landmarks out of the graph, with all their factors."""
-        gone = [
-            i
-            for i in range(self._factors.size())
-            if self._factors.exists(i) and not landmarks.isdisjoint(self._factors.at(i).keys())
-        ]
+        gone = self._books.slots_of(landmarks)
         try:
             self._isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), gone)
         except _GTSAM_ERRORS:
             estimate = self._linearization()
-            self._renumber(landmarks)
-            self._factors, self._holes = without(self._factors, landmarks), False
+            self._books = self._books.cleared(landmarks)
             self._initial = values_without(self._initial, landmarks)
             self._rebuild(values_without(estimate, landmarks))
             return
-        # iSAM2 keeps an empty slot for a factor that has gone; so do the books.
-        self._holes = True
         self._snapshots.clear()
-        for i in gone:
-            self._factors.remove(i)
+        self._books.remove(gone)
         self._initial = values_without(self._initial, landmarks)
 
     def _linearization(self) -> gtsam.Values:
@@ -323,8 +265,8 @@ class GuardedIsam:
     ) -> set[int]:
         """Solve anew without the landmarks that are at fault, by QR if need be."""
         before = self._linearization()
-        whole, start = without(self._factors, set()), gtsam.Values(before)
-        whole.push_back(factors)
+        whole, start = self._books.cleared().copy(), gtsam.Values(before)
+        whole.factors.push_back(factors)
         start.insert(values)
         aside: set[int] = set()
         was_qr, reason = self._qr, error
@@ -332,22 +274,20 @@ class GuardedIsam:
             more = (self._unsound(start) | named_landmark(reason)) - aside
             if more:
                 aside |= more
-                whole, start = without(whole, aside), values_without(start, aside)
+                whole, start = whole.cleared(aside), values_without(start, aside)
             elif not self._qr:
                 self._qr = True
             else:
                 break
             isam = self._fresh()
             try:
-                isam.update(whole, start)
+                isam.update(whole.factors, start)
                 _require_finite(isam, values)
             except _GTSAM_ERRORS as failure:
                 reason = failure
                 continue
-            self._renumber(aside)
             self._snapshots.clear()
-            self._isam, self._factors, self._initial = isam, whole, start
-            self._holes = False
+            self._isam, self._books, self._initial = isam, whole, start
             if self._qr and not was_qr:
                 self._warnings = (QR_WARNING,)
             return aside
@@ -414,21 +354,20 @@ class GuardedIsam:
         EstimationError
             When the graph cannot be solved; the estimate stays as it was.
         """
-        if not self._factors.size():
+        if not len(self._books):
             return set()
         return self._settle(self._isam.calculateEstimate())
 
     def _settle(self, values: gtsam.Values) -> set[int]:
         """`settle` from other values."""
-        before = self._isam, self._factors, self._initial, dict(self._named), self._holes
+        before = self._isam, self._books, self._initial
         try:
-            self._fill_holes()
-            end = descend(self._factors, values, _MOST_SETTLING_STEPS, self._unsound)
-            self._renumber(end.set_aside)
-            self._factors, self._initial = end.graph, end.values
+            books = self._books.cleared()
+            end = descend(books.factors, values, _MOST_SETTLING_STEPS, self._unsound)
+            self._books, self._initial = books.cleared(end.set_aside), end.values
             self._rebuild(self._initial)
         except EstimationError:
-            self._isam, self._factors, self._initial, self._named, self._holes = before
+            self._isam, self._books, self._initial = before
             raise
         return end.set_aside
 

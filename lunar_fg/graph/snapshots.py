@@ -6,10 +6,12 @@ linearising all of them anew, there and back, is what costs. Before it, nothing 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import gtsam
+
+from lunar_fg.graph.books import Books
 
 _MOST_FACTORS_SINCE = 500
 
@@ -22,19 +24,16 @@ class Snapshot:
     ----------
     isam
         A copy that nobody else has.
-    factors
-        In iSAM2's slots; some may be empty.
-    named
-        Slots of the named factors.
+    books
+        A copy, too.
     """
 
     isam: gtsam.ISAM2
-    factors: gtsam.NonlinearFactorGraph
-    named: Mapping[str, int]
+    books: Books
 
     def leads_to(self, wanted: Collection[str]) -> bool:
         """Whether the wanted named factors are reached from here by adding some."""
-        return all(name in wanted for name in self.named)
+        return all(name in wanted for name in self.books.named)
 
 
 class Snapshots:
@@ -70,7 +69,7 @@ class Snapshots:
         """
         for i in reversed(range(len(self._kept))):
             snapshot = self._kept[i]
-            if size - int(snapshot.factors.size()) > _MOST_FACTORS_SINCE:
+            if size - len(snapshot.books) > _MOST_FACTORS_SINCE:
                 break
             if snapshot.leads_to(wanted):
                 self._kept = self._kept[:i]
