@@ -23,7 +23,7 @@ from frontends.rectification import DISPARITY_TERMS, disparity_basis, within_ran
 from frontends.relative import rigid_transform
 from frontends.reprojection import TwoViewProblem
 from frontends.stereo import StereoConfig
-from frontends.tracking import common_landmarks
+from frontends.tracks import common_landmarks
 
 FloatArray = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Annotated, ClassVar, Self
+from typing import Annotated, ClassVar
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
@@ -22,7 +22,7 @@ from frontends.measurements import Image, RelativePose, StereoObservations
 from frontends.rectification import observe
 from frontends.relative import MotionPrediction, predicted_points
 from frontends.stereo import StereoFeatures
-from frontends.templates import Templates
+from frontends.tracks import Tracks
 
 FloatArray = NDArray[np.float64]
 
@@ -72,56 +72,6 @@ class TrackingConfig:
     scale_change_sigma: Annotated[float, Ge(0)] = 0.08
     surface_slope: Annotated[float, Ge(0)] = 0.2
     template_sigma_px: Annotated[float, Gt(0)] = 0.1
-
-
-@dataclass(frozen=True, slots=True)
-class Tracks:
-    """Landmarks of the memory matched with features of the new frame.
-
-    Attributes
-    ----------
-    points_a, covariance_a
-        (M, 3) m, (M, 3, 3) m^2: the landmarks in the previous frame's left-camera axes.
-    observations_b
-        The M matched observations of the new frame, carrying the landmarks' ids.
-    feature
-        (M,) rows of the new frame's features.
-    first_depth_m
-        (M,) how far the landmarks were when they were first seen.
-    slope
-        (M, 2) change of the disparity around the landmarks in the previous frame, px per px.
-    templates
-        The patches around the landmarks, warped as in the previous frame, or as found.
-    followed
-        (M,) bool: found by their patches, not by their features alone.
-    """
-
-    points_a: FloatArray
-    covariance_a: FloatArray
-    observations_b: StereoObservations
-    feature: NDArray[np.int64]
-    first_depth_m: FloatArray
-    slope: FloatArray
-    templates: Templates
-    followed: NDArray[np.bool_]
-
-    def __len__(self) -> int:
-        return len(self.feature)
-
-    @classmethod
-    def none(cls, features: StereoFeatures) -> Self:
-        """No tracks to some features."""
-        nothing = np.zeros(0, dtype=np.int64)
-        return cls(
-            np.zeros((0, 3)),
-            np.zeros((0, 3, 3)),
-            features.observations.select(nothing),
-            nothing,
-            np.zeros(0),
-            np.zeros((0, 2)),
-            features.templates.select(nothing),
-            np.zeros(0, dtype=np.bool_),
-        )
 
 
 class LandmarkTracker:
@@ -215,7 +165,7 @@ class LandmarkTracker:
         features, tracks, relative
             Of the new frame.
         """
-        rows = np.flatnonzero(_agreeing(tracks, relative))
+        rows = np.flatnonzero(tracks.agreeing(relative))
         seen, feature = tracks.observations_b.select(rows), tracks.feature[rows]
         warp, bend = surface_warp(
             self.camera, relative.a_T_b, tracks.points_a[rows], tracks.slope[rows]
@@ -223,31 +173,25 @@ class LandmarkTracker:
         templates = tracks.templates.select(rows).turned(warp, bend)
         start = np.stack([seen.u_left, seen.v], axis=-1)
         found = templates.follow(image, start, _REACH_SIGMAS * seen.sigma_px)
-        agreeing, rows, feature, uv = (
-            rows,
-            rows[found.found],
-            feature[found.found],
-            found.uv[found.found],
-        )
+        held, feature, uv = rows[found.found], feature[found.found], found.uv[found.found]
         moved = uv - start[found.found]
-        disparity = features.observations.disparity_px[feature]
-        disparity = disparity + np.sum(features.slope[feature] * moved, axis=1)
-        followed = observe(
+        at_feature = features.observations
+        put = observe(
             self.camera,
-            tracks.observations_b.landmark_id[rows],
+            tracks.observations_b.landmark_id[held],
             uv[:, 0],
             uv[:, 1],
-            disparity,
+            at_feature.disparity_px[feature] + np.sum(features.slope[feature] * moved, axis=1),
             np.hypot(found.sigma_px[found.found], self.config.template_sigma_px),
-            features.observations.sigma_disparity_px[feature],
+            at_feature.sigma_disparity_px[feature],
         )
-        is_followed = tracks.followed.copy()
-        is_followed[rows] = True
+        followed = tracks.followed.copy()
+        followed[held] = True
         return replace(
             tracks,
-            observations_b=tracks.observations_b.replaced(rows, followed),
-            templates=tracks.templates.replaced(agreeing, replace(templates, warp=found.warp)),
-            followed=is_followed,
+            observations_b=tracks.observations_b.replaced(held, put),
+            templates=tracks.templates.replaced(rows, replace(templates, warp=found.warp)),
+            followed=followed,
         )
 
     def in_view(self, prediction: MotionPrediction) -> int:
@@ -274,7 +218,7 @@ class LandmarkTracker:
         StereoObservations
             All landmarks of the new frame, with ids.
         """
-        holds = np.flatnonzero(_agreeing(tracks, relative))
+        holds = np.flatnonzero(tracks.agreeing(relative))
         tracked = tracks.feature[holds]
         new = self._first_seen(features)
         seen = new.replaced(tracked, tracks.observations_b.select(holds))
@@ -368,20 +312,6 @@ class LandmarkTracker:
             np.hypot(np.sqrt(2.0) * seen.sigma_px, walk),
             np.hypot(seen.sigma_disparity_px, self.config.surface_slope * walk),
         )
-
-
-def _agreeing(tracks: Tracks, relative: RelativePose) -> NDArray[np.bool_]:
-    """Which tracks agree with a motion, (M,)."""
-    # ids of a few frames lie close together: a table of them is small
-    return np.isin(tracks.observations_b.landmark_id, relative.inlier_ids, kind="table")
-
-
-def common_landmarks(
-    a: StereoObservations, b: StereoObservations
-) -> tuple[StereoObservations, StereoObservations]:
-    """Observations of the landmarks that both frames see, in the same order."""
-    _, i, j = np.intersect1d(a.landmark_id, b.landmark_id, assume_unique=True, return_indices=True)
-    return a.select(i), b.select(j)
 
 
 def in_view(camera: StereoCamera, points_a: FloatArray, prediction: MotionPrediction) -> int:

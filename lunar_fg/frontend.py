@@ -13,7 +13,8 @@ from frontends.detector import FeatureDetector
 from frontends.measurements import RelativePose, StartPrior, StereoFrame, UnusableFrame, Verdict
 from frontends.relative import MotionPrediction, RelativePositioning
 from frontends.stereo import StereoFeatures, StereoPerception
-from frontends.tracking import LandmarkTracker, Reach, Tracks, in_view
+from frontends.tracking import LandmarkTracker, Reach, in_view
+from frontends.tracks import Tracks
 from lunar_fg.checkpoint import Checkpoint
 from lunar_fg.config import Config
 from lunar_fg.dead_reckoning import DeadReckoning

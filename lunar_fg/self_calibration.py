@@ -11,7 +11,7 @@ from frontends.camera import StereoCamera
 from frontends.disparity_check import DisparityCheck, DisparityCheckConfig, DisparityFinding
 from frontends.rectification import RectificationError
 from frontends.relative import MotionPrediction, RelativePositioning
-from frontends.tracking import common_landmarks
+from frontends.tracks import common_landmarks
 from lunar_fg.graph.keyframe import Keyframe
 
 FloatArray = NDArray[np.float64]

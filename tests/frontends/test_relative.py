@@ -20,7 +20,7 @@ from frontends.relative import (
     rigid_transform,
 )
 from frontends.reprojection import Part, TwoViewProblem
-from frontends.tracking import common_landmarks
+from frontends.tracks import common_landmarks
 
 A_T_B = se3_exp([0.01, -0.03, 0.005, 0.02, 0.01, 0.25])
 NOTHING_KNOWN = MotionPrediction(np.eye(4), np.diag([0.05**2] * 3 + [0.3**2] * 3))

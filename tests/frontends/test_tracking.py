@@ -12,7 +12,8 @@ from frontends.rectification import observe
 from frontends.relative import MotionPrediction
 from frontends.stereo import StereoFeatures, StereoPerception
 from frontends.templates import Templates
-from frontends.tracking import LandmarkTracker, Reach, TrackingConfig, common_landmarks
+from frontends.tracking import LandmarkTracker, Reach, TrackingConfig
+from frontends.tracks import common_landmarks
 
 NOTHING = np.zeros((CAMERA.height, CAMERA.width), np.uint8)
 NO_MOTION = MotionPrediction(np.eye(4), 1e-4 * np.eye(6))
