@@ -14,7 +14,7 @@ import numpy as np
 from frontends.errors import EstimationError
 from frontends.measurements import FloatArray, IntArray
 from lunar_fg.graph import kernels
-from lunar_fg.graph.planar import Planar, composed, turned
+from lunar_fg.graph.planar import Planar, composed
 
 #: With a larger sigma, rad, a yaw is as good as not measured, and tells nothing of x and y.
 NO_YAW_SIGMA = 0.5
@@ -82,13 +82,15 @@ class Network:
             [*range(len(known)), *(claim.station for claim in claims)], dtype=np.int64
         )
         value: FloatArray = np.array([place.xyyaw for place in places])
+        covariance: FloatArray = np.array([place.covariance for place in places])
+        # Motions into the axes at their end.
+        back = np.tile(np.eye(3), (len(base), 1, 1))
+        moves, yaw = base >= 0, value[base >= 0, 2]
+        back[moves, 0, 0] = back[moves, 1, 1] = np.cos(yaw)
+        back[moves, 0, 1] = np.sin(yaw)
+        back[moves, 1, 0] = -np.sin(yaw)
         #: (C, 3, 3) of the claims: of places in map axes, of motions in those at their end.
-        self.covariance: FloatArray = np.array(
-            [
-                place.covariance if base < 0 else turned(place.covariance, place.xyyaw[2])
-                for place, base in zip(places, base, strict=True)
-            ]
-        )
+        self.covariance: FloatArray = back @ covariance @ back.transpose(0, 2, 1)
         self.covariance = 0.5 * (self.covariance + self.covariance.transpose(0, 2, 1))
         loose = self.covariance[:, 2, 2] > NO_YAW_SIGMA**2
         self.covariance[loose, 2, :2] = self.covariance[loose, :2, 2] = 0.0
