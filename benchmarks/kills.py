@@ -45,6 +45,19 @@ def logged(database: Path) -> int:
             return 0
 
 
+def whole_run(dataset: Path, folder: Path) -> float:
+    """Run to the end; seconds from one frame in the log to the next."""
+    times = []
+    with subprocess.Popen(command("run", dataset, "-o", folder), **_QUIET) as process:
+        while process.poll() is None:
+            if logged(folder / "run.db") > len(times):
+                times += [time.perf_counter()] * (logged(folder / "run.db") - len(times))
+            time.sleep(_POLL_S)
+    if process.returncode or not times:
+        raise SystemExit(f"{dataset}: the run failed or has no frame")
+    return (times[-1] - times[0]) / len(times)
+
+
 def killed(dataset: Path, folder: Path, frames: int, part_s: float) -> bool:
     """Start a run and kill it `part_s` after it has so many frames; False where it had ended."""
     with subprocess.Popen(command("run", dataset, "-o", folder), **_QUIET) as process:
@@ -74,15 +87,13 @@ def main() -> None:
     moments, rows = random.Random(arguments.seed), []
     with tempfile.TemporaryDirectory() as place:
         whole = RunFolder(Path(place) / "whole")
-        start = time.perf_counter()
-        subprocess.run(command("run", arguments.dataset, "-o", whole.path), check=True, **_QUIET)
-        took_s = time.perf_counter() - start
+        frame_s = whole_run(arguments.dataset, whole.path)
         expected, text = whole.read_trajectory(), whole.tum_path.read_text()
         count = len(expected)
         while len(rows) < arguments.kills:
             folder = RunFolder(Path(place) / f"killed-{len(rows)}")
             # From before the first frame to the last one.
-            frames, part_s = moments.randrange(count), moments.uniform(0.0, took_s / count)
+            frames, part_s = moments.randrange(count), moments.uniform(0.0, frame_s)
             if not killed(arguments.dataset, folder.path, frames, part_s):
                 folder.path.rename(folder.path.with_name(f"ended-{time.monotonic_ns()}"))
                 continue
