@@ -115,7 +115,8 @@ class Frontend:
             tracks, relative = self._follow(frame, features, tracks, relative)
             standing = zero_motion(relative)
             if standing is None:
-                observations = self._tracker.commit(features, tracks, relative)
+                with self._stopwatch.stage("tracking"):
+                    observations = self._tracker.commit(features, tracks, relative)
                 self.features = features.named(observations.landmark_id)
             else:
                 observations, relative = None, standing
