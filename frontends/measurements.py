@@ -152,10 +152,10 @@ class StereoObservations:
 
     def replaced(self, rows: IntArray, other: StereoObservations) -> StereoObservations:
         """These observations with others in the place of some rows."""
-        result = self.select(np.arange(len(self)))
-        for part in fields(self):
-            getattr(result, part.name)[rows] = getattr(other, part.name)
-        return result
+        parts = [getattr(self, part.name).copy() for part in fields(self)]
+        for mine, part in zip(parts, fields(self), strict=True):
+            mine[rows] = getattr(other, part.name)
+        return StereoObservations(*parts)
 
 
 class Verdict(StrEnum):

@@ -97,10 +97,10 @@ class Templates:
 
     def replaced(self, rows: NDArray[np.int64], other: Templates) -> Templates:
         """These patches with others in the place of some rows."""
-        result = self.select(np.arange(len(self)))
-        for part in fields(self):
-            getattr(result, part.name)[rows] = getattr(other, part.name)
-        return result
+        parts = [getattr(self, part.name).copy() for part in fields(self)]
+        for mine, part in zip(parts, fields(self), strict=True):
+            mine[rows] = getattr(other, part.name)
+        return Templates(*parts)
 
     def moved(self, shift: FloatArray, sigma_px: FloatArray) -> Templates:
         """The same patches for landmarks (N, 2) px beside the ones they were cut for.
@@ -124,6 +124,12 @@ class Templates:
         """
         further = np.einsum("nji,nj->ni", self.warp, bend)
         return replace(self, warp=warp @ self.warp, bend=self.bend + further)
+
+    def warped(self, rows: NDArray[np.int64], warp: FloatArray, bend: FloatArray) -> Templates:
+        """The same patches with the warps that some rows were found with."""
+        all_warps, all_bends = self.warp.copy(), self.bend.copy()
+        all_warps[rows], all_bends[rows] = warp, bend
+        return replace(self, warp=all_warps, bend=all_bends)
 
     def useful(self) -> NDArray[np.bool_]:
         """Which are not stretched so much by now that they would alias, (N,)."""

@@ -190,7 +190,7 @@ class LandmarkTracker:
         return replace(
             tracks,
             observations_b=tracks.observations_b.replaced(held, put),
-            templates=tracks.templates.replaced(rows, replace(templates, warp=found.warp)),
+            templates=tracks.templates.warped(rows, found.warp, templates.bend),
             followed=followed,
         )
 
