@@ -224,7 +224,7 @@ def long_images(result: dict[str, Any]) -> list[str]:
 
 def soak(results: Sequence[dict[str, Any]]) -> list[str]:
     minutes = sum(result["seconds"] for result in results) / 60.0
-    spans = ", ".join(f"{r['seeds'][0]} to {r['seeds'][1] - 1}" for r in results)
+    spans = ", ".join(f"{r['seeds'][0]}-{r['seeds'][1] - 1}" for r in results)
     lines = [
         "## Soak",
         "",
@@ -244,7 +244,7 @@ def soak(results: Sequence[dict[str, Any]]) -> list[str]:
             for k in ("ran", "named", "other", "crash", "hang")
         ]
         lines.append(f"| {kind} | {sum(cells)} | " + " | ".join(map(str, cells)) + " |")
-    reasons = {reason for r in results for reason in r["named"]}
+    reasons = {re.sub(r" \(.*", "", reason) for r in results for reason in r["named"]}
     found = [text for r in results for text in r["findings"]]
     lines += ["", "Named errors: " + ("; ".join(sorted(reasons)) or "none") + "."]
     lines += ["", *(f"- {text}" for text in found or ["no finding"])]
@@ -305,6 +305,11 @@ def read(folders: Sequence[Path]) -> list[dict[str, Any]]:
     return [asdict(o) for folder in folders for o in Results(folder).read()]
 
 
+def read_round(path: Path) -> dict[str, Any]:
+    """A round of soak or fuzzing, without the paths of the machine it ran on."""
+    return dict(json.loads(re.sub(r"(?<![\w.])(/[\w.+-]+){2,}(: )?", "", path.read_text())))
+
+
 def joined(before: dict[str, Any] | None, more: dict[str, Any]) -> dict[str, Any]:
     """Counts of two rounds of fuzzing."""
     if before is None:
@@ -326,7 +331,9 @@ def main() -> None:
     parser.add_argument("--monte-carlo", type=Path, nargs="*", default=[])
     parser.add_argument("--faults", type=Path, nargs="*", default=[])
     parser.add_argument("--fuzz", type=Path)
-    parser.add_argument("--more-fuzz", type=Path, help="a further round, counts are added")
+    parser.add_argument(
+        "--more-fuzz", type=Path, nargs="*", default=[], help="further rounds: counts are added"
+    )
     parser.add_argument("--soak", type=Path, nargs="*", default=[])
     parser.add_argument("--long", type=Path)
     parser.add_argument("--long-images", type=Path)
@@ -337,9 +344,11 @@ def main() -> None:
         if getattr(arguments, name):
             parts[name] = read(getattr(arguments, name))
     if arguments.soak:
-        parts["soak"] = [json.loads(path.read_text()) for path in arguments.soak]
+        parts["soak"] = [read_round(path) for path in arguments.soak]
     if arguments.more_fuzz:
-        parts["fuzz"] = joined(parts.get("fuzz"), json.loads(arguments.more_fuzz.read_text()))
+        parts.setdefault("fuzz", None)
+        for path in arguments.more_fuzz:
+            parts["fuzz"] = joined(parts["fuzz"], read_round(path))
     for name in ("fuzz", "long", "long_images"):
         path = getattr(arguments, name)
         if path is not None:

@@ -264,12 +264,14 @@ class Localisation:
             return None
         patch = make_patch(self.terrain, poses, anchor, self.adjustment.cell_m)
         sigma = np.sqrt(np.maximum(np.diag(planar.covariance), 0.0))
-        search = self._search(sigma)
-        if search.half_yaw_rad < math.pi or patch is None:
-            result = self.adjustment.locate(patch, anchor, search)
-        else:
+        search, orbital = self._search(sigma), self.adjustment.orbital
+        # coarse to fine is for images; an elevation model alone is searched as ever
+        lost = search.half_yaw_rad >= math.pi and None not in (orbital.ortho, orbital.sun)
+        if lost and patch is not None:
             coarse = make_patch(self.terrain, poses, anchor, self.adjustment.coarse_cell_m)
             result = locate_everywhere(self.adjustment, patch, coarse or patch, search)
+        else:
+            result = self.adjustment.locate(patch, anchor, search)
         self._tried.add(anchor)
         if self.on_attempt is not None:
             self.on_attempt(result)
