@@ -4,6 +4,27 @@ import os
 import subprocess
 import sys
 
+import pytest
+
+FOLLOWED = """
+import hashlib
+import cv2
+import numpy as np
+from frontends.template_alignment import follow_all
+from frontends.templates import Templates
+
+rng = np.random.default_rng(0)
+first = cv2.GaussianBlur(rng.integers(0, 255, (160, 200)).astype(np.uint8), (0, 0), 2.0)
+first = cv2.normalize(first, None, 0, 255, cv2.NORM_MINMAX)
+warp = np.array([[1.1, 0.05, -10.0], [0.0, 1.2, -16.0]])
+later = cv2.warpAffine(first, warp, (200, 160))
+uv = rng.uniform(50, 110, (80, 2))
+start = uv @ warp[:, :2].T + warp[:, 2] + 0.3
+found = Templates.cut(first, uv).follow(later, start, np.full(80, 9.0))
+assert found.found.sum() > 40
+print(hashlib.md5(found.uv.tobytes()).hexdigest(), sum(follow_all.stats.cache_hits.values()))
+"""
+
 DISPARITIES = """
 import hashlib
 import cv2
@@ -24,11 +45,12 @@ print(hashlib.md5(result.tobytes()).hexdigest(), sum(refine_all.stats.cache_hits
 """
 
 
-def test_compiled_and_cached_agree_to_the_bit(tmp_path):
+@pytest.mark.parametrize("script", [DISPARITIES, FOLLOWED], ids=["disparities", "followed"])
+def test_compiled_and_cached_agree_to_the_bit(tmp_path, script):
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     outputs = [
         subprocess.run(
-            [sys.executable, "-c", DISPARITIES],
+            [sys.executable, "-c", script],
             env=environment,
             check=True,
             capture_output=True,
