@@ -40,6 +40,7 @@ from lunar_fg.graph.landmarks import WholeGraph, map_point
 from lunar_fg.graph.setup import Setup
 from lunar_fg.simulation.measurements import INDEPENDENT, TraverseSpec, simulate
 
+_WARM = 60
 _DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 Feed = Callable[[Keyframe], object]
@@ -123,6 +124,10 @@ def smoother(data: Data, mode: str) -> IncrementalSmoother:
 
 def cost_against_length(data: Data, marks: Sequence[int], most: dict[str, int]) -> list[Cost]:
     """Feed all ways keyframe by keyframe, each up to its own limit."""
+    # What is loaded or compiled once a process belongs to no way.
+    warm = fixed_feed(data)
+    for keyframe in data.keyframes[:_WARM]:
+        warm(keyframe)
     feeds: dict[str, Feed] = {
         "segments": smoother(data, "segments").add,
         "segments, a fix every 50": fixed_feed(data),
