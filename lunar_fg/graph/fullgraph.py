@@ -12,10 +12,11 @@ from frontends.errors import EstimationError
 from frontends.measurements import FloatArray
 from lunar_fg.graph.anchors import Anchor, motion_between
 from lunar_fg.graph.factors import between_factor, pose_key, start_factor
+from lunar_fg.graph.far import onto, shifts, turned_by
 from lunar_fg.graph.isam import GuardedIsam
 from lunar_fg.graph.keyframe import Entered, Keyframe
 from lunar_fg.graph.landmarks import WholeGraph, map_point
-from lunar_fg.graph.planar import Planar, PlanarChain, planar, turn, wrapped
+from lunar_fg.graph.planar import Planar, PlanarChain
 from lunar_fg.graph.setup import Setup
 
 _FRAMES_NAMED = 8
@@ -183,31 +184,20 @@ class FullGraph:
         self._set_aside(self._isam.exchange_from(values, entering, leaving, frame), frame)
 
     def _far(self, ordinal: int, place: FloatArray) -> bool:
-        yaw = float(planar(self.pose(ordinal))[2])
-        return abs(wrapped(place[2] - yaw)) > _FAR_RAD
+        return turned_by(self.pose(ordinal), place) > _FAR_RAD
 
     def _moved(self, places: Mapping[int, FloatArray]) -> gtsam.Values:
-        """Everything as it stands, laid on believed places: a start for what is far off.
-
-        Between two places the loosest motion takes up all that does not fit: where the rover
-        was carried, that is right at once.
-        """
+        """Everything as it stands, laid on believed places."""
         now = self._isam.values()
-        poses = [now.atPose3(pose_key(i)) for i in range(self._count)]
-        shift, begin = gtsam.Pose3(), 0
-        shifts: list[gtsam.Pose3] = []
-        for ordinal, place in sorted(places.items()):
-            loose = [float(np.trace(c[3:, 3:])) for _, c in self._motions[begin:ordinal]]
-            link = begin + int(np.argmax(loose)) + 1 if loose else ordinal
-            shifts += [shift] * (link - begin)
-            shift, begin = _onto(np.asarray(poses[ordinal].matrix()), place), link
-        shifts += [shift] * (self._count - begin)
+        wanted = {ordinal: onto(self.pose(ordinal), place) for ordinal, place in places.items()}
+        loose = [float(np.trace(covariance[3:, 3:])) for _, covariance in self._motions]
+        by = shifts(loose, wanted)
         moved = gtsam.Values()
-        for i, pose in enumerate(poses):
-            moved.insert(pose_key(i), shifts[i].compose(pose))
+        for i, shift in enumerate(by):
+            moved.insert(pose_key(i), shift.compose(now.atPose3(pose_key(i))))
         for key, ordinal in self._whole.first_seen().items():
             if now.exists(key):
-                moved.insert(key, shifts[ordinal].transformFrom(now.atPoint3(key)))
+                moved.insert(key, by[ordinal].transformFrom(now.atPoint3(key)))
         return moved
 
     def at(self, ordinal: int) -> tuple[FloatArray, FloatArray]:
@@ -227,12 +217,3 @@ class FullGraph:
             np.stack([self._isam.pose(key) for key in keys]),
             np.stack([self._isam.covariance(key) for key in keys]),
         )
-
-
-def _onto(map_T_rover: FloatArray, place: FloatArray) -> gtsam.Pose3:
-    """Motion of the map's plane that lays a pose on a place (x, y, yaw)."""
-    x, y, yaw = planar(map_T_rover)
-    shift = np.eye(4)
-    shift[:2, :2] = turn(place[2] - yaw)
-    shift[:2, 3] = place[:2] - shift[:2, :2] @ [x, y]
-    return gtsam.Pose3(shift)

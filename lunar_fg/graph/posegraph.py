@@ -19,8 +19,10 @@ from lunar_fg.graph.factors import (
     tilt_factor,
     upright_factor,
 )
+from lunar_fg.graph.far import onto, shifts, turned_by
 from lunar_fg.graph.isam import GuardedIsam
 from lunar_fg.graph.keyframe import Entered, Keyframe
+from lunar_fg.graph.network import NO_YAW_SIGMA
 from lunar_fg.graph.planar import Planar, PlanarChain
 from lunar_fg.graph.segment import Segment, SegmentSolution
 from lunar_fg.graph.setup import Setup
@@ -73,11 +75,14 @@ class SegmentGraph:
         if self._segment is None:
             self._begin(keyframe)
             return Entered(0, 0, ("start",), lost=False)
+        loose = _nothing_holds(keyframe)
+        if loose:  # the motion stands alone: what is before it moves apart from what comes after
+            self.close()
         entered = self._segment.add(keyframe)
         self._last = keyframe
         if keyframe.tilt is not None:
             self._tilts[len(self._segment) - 1] = keyframe.tilt
-        if len(self._segment) > self._close_at:
+        if loose or len(self._segment) > self._close_at:
             self.close()
         return entered
 
@@ -195,11 +200,33 @@ class SegmentGraph:
         entering: Mapping[str, gtsam.NonlinearFactor],
         leaving: Collection[str],
         frame: int,
-        _: Mapping[int, FloatArray],
+        places: Mapping[int, FloatArray],
     ) -> None:
         """See `FixGraph.exchange`."""
-        self._isam.exchange(entering, leaving, frame)
         self._boundary = None
+        if not any(turned_by(self.pose(o), place) > NO_YAW_SIGMA for o, place in places.items()):
+            try:
+                self._isam.exchange(entering, leaving, frame)
+            except EstimationError:
+                pass  # tried again from where the places put all
+            else:
+                return
+        self._isam.exchange_from(self._moved(places), entering, leaving, frame)
+
+    def _moved(self, places: Mapping[int, FloatArray]) -> gtsam.Values:
+        """Boundary poses as they stand, laid on believed places."""
+        wanted = {}
+        for ordinal, place in places.items():
+            # a boundary within the same segment moves with the keyframe
+            number = bisect_right(self._begins, ordinal) - 1
+            number += ordinal > self._begins[number] and number < len(self._solutions)
+            wanted[number] = onto(self.pose(ordinal), place)
+        loose = [float(np.trace(s.last_covariance[3:, 3:])) for s in self._solutions]
+        moved = gtsam.Values()
+        for i, shift in enumerate(shifts(loose, wanted)):
+            key = pose_key(i)
+            moved.insert(key, shift.compose(gtsam.Pose3(self._isam.pose(key))))
+        return moved
 
     def at(self, ordinal: int) -> tuple[FloatArray, FloatArray]:
         """Pose (4, 4) and covariance (6, 6) of a keyframe."""
@@ -266,6 +293,14 @@ class SegmentGraph:
             poses.append(composed[0])
             covariances.append(composed[1])
         return np.stack(poses), np.stack(covariances)
+
+
+def _nothing_holds(keyframe: Keyframe) -> bool:
+    """Whether even the turn of the motion that led to a keyframe is as good as not known."""
+    relative, odometry = keyframe.relative, keyframe.odometry
+    if relative is None or relative.accepted or odometry is None:
+        return False
+    return bool(np.diag(odometry.covariance)[:3].max() > NO_YAW_SIGMA**2)
 
 
 def compose(

@@ -44,7 +44,7 @@ def carried(yaw, x, y):
 
 
 @pytest.mark.parametrize("mode", ["segments", "full"])
-@pytest.mark.parametrize("yaw", [0.7, -2.0, 3.1])
+@pytest.mark.parametrize("yaw", [0.7, 1.6, -2.0, 3.1])
 def test_a_fix_brings_a_carried_rover_back(mode, yaw):
     keyframes, truth = carried(yaw, -12.0, 9.0)
     config = INDEPENDENT.model_copy(update={"landmarks": mode})
