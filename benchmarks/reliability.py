@@ -106,7 +106,7 @@ def faults(outcomes: Sequence[Outcome]) -> list[str]:
         "",
         "One fault a run, injected into the same rendered drive of 75 m, 101 pairs of 384 px, with "
         "its orbital map and without (`benchmarks/studies/faults.yaml`); and a rover that is "
-        "carried along a quarter of a circle, drive of 100 m, 134 pairs of 320 px, three seeds "
+        "carried along a quarter of a circle, drive of 100 m, 134 pairs of 320 px, by seed "
         "(`benchmarks/studies/kidnapped.yaml`; *full*: `graph: landmarks: full`). The start's own "
         "sigma of 0.3 m is in every error. *After* is the error of the motion from the fault's "
         "end to the drive's, a percentage of that way. *Said* is the run's own warning, without "
@@ -117,7 +117,7 @@ def faults(outcomes: Sequence[Outcome]) -> list[str]:
         "|---|---|---|---|---|---|---|---|---|",
     ]
     usual = {w for o in outcomes if o.group.endswith("faults none") for w in o.warnings}
-    for o in sorted(outcomes, key=lambda o: (o.group.split("faults ")[-1] != "none", o.number)):
+    for o in sorted(outcomes, key=_place):
         told = [w for w in o.warnings if w not in usual and not w.startswith(_NO_FAULT)]
         said = o.error or "; ".join(told[:3]) or "-"
         fixes = f"{o.fixes_accepted_right}/{o.fixes_accepted}/{o.fixes_tried}"
@@ -133,6 +133,11 @@ def faults(outcomes: Sequence[Outcome]) -> list[str]:
             f"| {o.frames_lost} | {fixes if with_map else '-'} | {said} |"
         )
     return [*lines, "", FALLS_SHORT, ""]
+
+
+def _place(o: Outcome) -> tuple[bool, bool, int]:
+    """Sound runs first, the circle last."""
+    return not o.group.endswith("faults none"), "landmarks" in o.group, o.number
 
 
 #: Warnings that every run has, or that tell of the injection itself.
@@ -219,6 +224,10 @@ def long_images(result: dict[str, Any]) -> list[str]:
         "with the young navigators:",
         "",
         *_with_young(result["tenths"]),
+        "CPU time is flat. Memory grows by some 30 kB a keyframe and the log by 60 kB: of the "
+        "former 17 kB are what loop closing keeps of each place, 3 kB the solved segments; images "
+        "are not kept. Without a map the final error is mostly the heading's, 0.03 rad.",
+        "",
     ]
 
 

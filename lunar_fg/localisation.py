@@ -266,7 +266,7 @@ class Localisation:
         sigma = np.sqrt(np.maximum(np.diag(planar.covariance), 0.0))
         search, orbital = self._search(sigma), self.adjustment.orbital
         # coarse to fine is for images; an elevation model alone is searched as ever
-        lost = search.half_yaw_rad >= math.pi and None not in (orbital.ortho, orbital.sun)
+        lost = search.half_yaw_rad >= 0.5 * math.pi and None not in (orbital.ortho, orbital.sun)
         if lost and patch is not None:
             coarse = make_patch(self.terrain, poses, anchor, self.adjustment.coarse_cell_m)
             result = locate_everywhere(self.adjustment, patch, coarse or patch, search)
