@@ -55,7 +55,7 @@ class StereoConfig:
     __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
 
     hessian_threshold: Annotated[float, Ge(0)] = 20.0
-    max_keypoints: Annotated[int, Ge(1)] = 1200
+    max_keypoints: Annotated[int, Ge(1)] = 1100
     band_px: Annotated[float, Gt(0)] = 1.5
     near_baselines: Annotated[float, Gt(0)] = 2.0
     max_depth_sigma: Annotated[float, Gt(0), Le(1)] = 0.25
