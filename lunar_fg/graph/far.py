@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 import gtsam
 import numpy as np
 
+from frontends.errors import EstimationError
 from frontends.measurements import FloatArray
+from lunar_fg.graph.isam import GuardedIsam
 from lunar_fg.graph.planar import planar, turn, wrapped
 
 
@@ -46,3 +48,43 @@ def shifts(looseness: Sequence[float], wanted: Mapping[int, gtsam.Pose3]) -> lis
         moved += [shift] * (link - len(moved))
         shift, begin = motion, number
     return moved + [shift] * (len(looseness) + 1 - len(moved))
+
+
+def exchange(
+    isam: GuardedIsam,
+    entering: Mapping[str, gtsam.NonlinearFactor],
+    leaving: Collection[str],
+    frame: int,
+    start: Callable[[], gtsam.Values],
+    *,
+    far: bool,
+) -> set[int]:
+    """Put named factors in and take others out, from a new start where no step leads there.
+
+    Parameters
+    ----------
+    isam
+        Holds the factors.
+    entering, leaving, frame
+        As for `GuardedIsam.exchange`.
+    start
+        Makes values for everything; used where they are `far`, or where the step fails.
+
+    Returns
+    -------
+    set of int
+        Keys of landmarks that had to be taken out.
+
+    Raises
+    ------
+    EstimationError
+        As for `GuardedIsam.exchange_from`.
+    """
+    if not far:
+        try:
+            isam.exchange(entering, leaving, frame)
+        except EstimationError:
+            pass  # tried again from the start that is made for it
+        else:
+            return set()
+    return isam.exchange_from(start(), entering, leaving, frame)

@@ -12,7 +12,7 @@ from frontends.errors import EstimationError
 from frontends.measurements import FloatArray
 from lunar_fg.graph.anchors import Anchor, motion_between
 from lunar_fg.graph.factors import between_factor, pose_key, start_factor
-from lunar_fg.graph.far import onto, shifts, turned_by
+from lunar_fg.graph.far import exchange, onto, shifts, turned_by
 from lunar_fg.graph.isam import GuardedIsam
 from lunar_fg.graph.keyframe import Entered, Keyframe
 from lunar_fg.graph.landmarks import WholeGraph, map_point
@@ -173,15 +173,9 @@ class FullGraph:
         places: Mapping[int, FloatArray],
     ) -> None:
         """See `FixGraph.exchange`."""
-        if not any(map(self._far, places, places.values())):
-            try:
-                self._isam.exchange(entering, leaving, frame)
-            except EstimationError:
-                pass  # tried again from where the places put all
-            else:
-                return
-        values = self._moved(places)
-        self._set_aside(self._isam.exchange_from(values, entering, leaving, frame), frame)
+        far = any(map(self._far, places, places.values()))
+        bad = exchange(self._isam, entering, leaving, frame, lambda: self._moved(places), far=far)
+        self._set_aside(bad, frame)
 
     def _far(self, ordinal: int, place: FloatArray) -> bool:
         return turned_by(self.pose(ordinal), place) > _FAR_RAD

@@ -19,7 +19,7 @@ from lunar_fg.graph.factors import (
     tilt_factor,
     upright_factor,
 )
-from lunar_fg.graph.far import onto, shifts, turned_by
+from lunar_fg.graph.far import exchange, onto, shifts, turned_by
 from lunar_fg.graph.isam import GuardedIsam
 from lunar_fg.graph.keyframe import Entered, Keyframe
 from lunar_fg.graph.network import NO_YAW_SIGMA
@@ -204,14 +204,8 @@ class SegmentGraph:
     ) -> None:
         """See `FixGraph.exchange`."""
         self._boundary = None
-        if not any(turned_by(self.pose(o), place) > NO_YAW_SIGMA for o, place in places.items()):
-            try:
-                self._isam.exchange(entering, leaving, frame)
-            except EstimationError:
-                pass  # tried again from where the places put all
-            else:
-                return
-        self._isam.exchange_from(self._moved(places), entering, leaving, frame)
+        far = any(turned_by(self.pose(o), place) > NO_YAW_SIGMA for o, place in places.items())
+        exchange(self._isam, entering, leaving, frame, lambda: self._moved(places), far=far)
 
     def _moved(self, places: Mapping[int, FloatArray]) -> gtsam.Values:
         """Boundary poses as they stand, laid on believed places."""
