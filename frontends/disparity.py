@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontends.measurements import Image
-from frontends.patch_alignment import PATCH, refine_all
+from frontends.patch_alignment import refine_all
 from frontends.patch_sampling import SPAN
+from frontends.patch_window import PATCH
 
 FloatArray = NDArray[np.float64]
 

@@ -7,9 +7,8 @@ times focal length, and on a plane it is linear in the image,
 
 So the ray of each pixel reaches the plane at R ray + t / Z of the other camera, but for the
 scale, which is linear in u and v as well: a pixel p beside the landmark is seen at A p / (1 + g p)
-beside it. On ground
-that the rover approaches the image grows by the square of the ratio of distances along v, and by
-the ratio along u.
+beside it. On ground that the rover approaches the image grows by the square of the ratio of
+distances along v, and by the ratio along u.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontends.camera import StereoCamera
-from frontends.geometry import inverse
+from frontends.geometry import inverse, transform_points
 
 FloatArray = NDArray[np.float64]
 
@@ -49,7 +48,7 @@ def surface_warp(
     b_T_a = inverse(a_T_b)
     rotation, translation = b_T_a[:3, :3], b_T_a[:3, 3]
     depth = np.maximum(points_a[:, 2], _LEAST_DEPTH_M)
-    seen = (points_a @ rotation.T + translation) / depth[:, None]
+    seen = transform_points(b_T_a, points_a) / depth[:, None]
     per_px = slope / (camera.baseline_m * camera.fx)
     along_u = rotation[:, 0] / camera.fx + per_px[:, :1] * translation
     along_v = rotation[:, 1] / camera.fy + per_px[:, 1:] * translation

@@ -7,7 +7,7 @@ pose's body frame. ``a_T_b`` maps coordinates of `b` to coordinates of `a`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from frontends.camera import StereoCamera
 from frontends.geometry import adjoint, inverse
+from frontends.rows import replaced_rows
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -152,10 +153,7 @@ class StereoObservations:
 
     def replaced(self, rows: IntArray, other: StereoObservations) -> StereoObservations:
         """These observations with others in the place of some rows."""
-        parts = [getattr(self, part.name).copy() for part in fields(self)]
-        for mine, part in zip(parts, fields(self), strict=True):
-            mine[rows] = getattr(other, part.name)
-        return StereoObservations(*parts)
+        return replaced_rows(self, rows, other)
 
 
 class Verdict(StrEnum):

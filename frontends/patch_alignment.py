@@ -13,13 +13,21 @@ from frontends.cholesky import factorise, solve
 from frontends.jit import kernel, njit
 from frontends.measurements import Image
 from frontends.patch_sampling import AREA, HALF, MIDDLE, SIDE, SPAN, sample
+from frontends.patch_window import (
+    HOPELESS,
+    LARGEST_GAIN,
+    LEAST_GAIN,
+    UNEXPLAINED,
+    WEIGHT,
+    WEIGHT_RATIO,
+    weigh,
+)
 
 FloatArray = NDArray[np.float64]
 Floats = NDArray[np.float32]
 _f32 = np.float32
 _u64 = np.uint64
 
-_WINDOW_SIGMA_PX = 6.0
 #: Unknowns: disparity, its change along u and v over `HALF`, vertical shift, gain, bias.
 _UNKNOWNS = 6
 _ITERATIONS = 6
@@ -32,33 +40,16 @@ _LAST_STEP_SIGMAS = 0.5
 _PRIOR = np.array([0.0, 20.0 / (0.2 * HALF) ** 2, 20.0 / (0.2 * HALF) ** 2, 80.0, 0.0, 0.0])
 _STEEPEST = 0.6 * HALF
 _LARGEST_VERTICAL_PX = 1.0
-_LEAST_GAIN, _LARGEST_GAIN = 0.2, 5.0
-#: Largest share of the right patch's variance that the model leaves unexplained.
-_UNEXPLAINED = 0.4
-#: After so many steps, a match that leaves this share unexplained is a wrong one.
-_PATIENCE, _HOPELESS = 2, 0.8
+#: Steps before a match is given up as hopeless.
+_PATIENCE = 2
 #: Variance of a central difference, over that of a residual (left plus interpolated right).
 _GRADIENT_NOISE = 0.3
 #: Largest ratio of the information along u to what of it is not the noise's own gradient.
 _LARGEST_INFLATION = 3.0
 #: Model error (curvature, interpolation), px: added in squares to every sigma.
 _MODEL_SIGMA_PX = 0.006
-
-
-def _patch() -> Floats:
-    """Weights of a patch's pixels, and their offsets along u and along v, in `HALF`; flat."""
-    row, column = (grid.ravel() for grid in np.mgrid[:SIDE, :SIDE].astype(np.float64))
-    i, j = column - MIDDLE, row - MIDDLE
-    weight = np.exp(-0.5 * (i * i + j * j) / _WINDOW_SIGMA_PX**2)
-    return np.concatenate([weight, i / HALF, j / HALF]).astype(np.float32)
-
-
-PATCH = _patch()
-_WEIGHT = float(PATCH[:AREA].sum())
-#: Variance of a weighted estimate over the inverse of its normal matrix, for like residuals.
-_WEIGHT_RATIO = float((PATCH[:AREA].astype(np.float64) ** 2).sum()) / _WEIGHT
 #: Residuals that count, less the unknowns: as a share of the weight.
-_FREEDOM = _WEIGHT - _UNKNOWNS * _WEIGHT_RATIO
+_FREEDOM = WEIGHT - _UNKNOWNS * WEIGHT_RATIO
 
 
 @njit
@@ -77,7 +68,7 @@ def _differentiate(
     mean = _f32(0)
     for p in range(_u64(AREA)):
         mean += grid[p] * J[grey + p]
-    mean /= _f32(_WEIGHT)
+    mean /= _f32(WEIGHT)
     for p in range(_u64(AREA)):
         J[_u64(AREA) + p] = J[p] * grid[_u64(AREA) + p]
         J[_u64(2 * AREA) + p] = J[p] * grid[_u64(2 * AREA) + p]
@@ -162,10 +153,7 @@ def refine_all(
         if min(u, v) < 1 or u + SIDE >= width or v + SIDE >= height:
             continue
         mean = _differentiate(left_pixels, width, u, v, grid, J)
-        for a in range(_UNKNOWNS):
-            row = _u64(a * AREA)
-            for k in range(_u64(AREA)):
-                WJ[row + k] = grid[k] * J[row + k]
+        weigh(J, grid, _UNKNOWNS, WJ)
         _normal_matrix(WJ, J, L)
         if not factorise(L, _PRIOR):
             continue
@@ -191,12 +179,12 @@ def refine_all(
             unexplained = power
             for a in range(_UNKNOWNS):
                 unexplained -= moment[a] * x[a]
-            variance = power - moment[5] * moment[5] / _WEIGHT
-            if tried >= _PATIENCE and unexplained > _HOPELESS * variance:
+            variance = power - moment[5] * moment[5] / WEIGHT
+            if tried >= _PATIENCE and unexplained > HOPELESS * variance:
                 inside = False
                 result[n, 3] = unexplained / _FREEDOM
                 break
-            gain = min(max(x[4], _LEAST_GAIN), _LARGEST_GAIN)
+            gain = min(max(x[4], LEAST_GAIN), LARGEST_GAIN)
             stretch = (1.0 - slope_u / HALF) / gain  # a shift seen in the left image, in D
             step, rise = min(max(stretch * x[0], -1.0), 1.0), min(max(x[3] / gain, -1.0), 1.0)
             d, vertical = d + step, vertical + rise
@@ -220,10 +208,10 @@ def refine_all(
         solve(L, x)
         spread = moment[0] * x[0] + moment[1] * x[1] + moment[2] * x[2]
         # the noise's own gradient is in the normal matrix; it tells nothing of the disparity
-        signal = 1.0 - _GRADIENT_NOISE * _WEIGHT * noise * spread
+        signal = 1.0 - _GRADIENT_NOISE * WEIGHT * noise * spread
         if signal * _LARGEST_INFLATION < 1.0:
             continue
-        variance_d = noise * _WEIGHT_RATIO * spread / signal**2
+        variance_d = noise * WEIGHT_RATIO * spread / signal**2
         if not converged:
             converged = step * step < _LAST_STEP_SIGMAS**2 * variance_d
             variance_d += step * step
@@ -233,8 +221,8 @@ def refine_all(
         result[n, 4], result[n, 5] = slope_u / HALF, slope_v / HALF
         confirmed[n] = (
             converged
-            and _LEAST_GAIN < gain < _LARGEST_GAIN
+            and LEAST_GAIN < gain < LARGEST_GAIN
             and abs(d - start[n, 2]) <= start[n, 4]
             and abs(vertical) <= _LARGEST_VERTICAL_PX
-            and unexplained <= _UNEXPLAINED * variance
+            and unexplained <= UNEXPLAINED * variance
         )

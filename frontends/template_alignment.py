@@ -13,6 +13,15 @@ from frontends.cholesky import factorise, solve
 from frontends.jit import kernel, njit
 from frontends.measurements import Image
 from frontends.patch_sampling import AREA, HALF, MIDDLE, SIDE
+from frontends.patch_window import (
+    HOPELESS,
+    LARGEST_GAIN,
+    LEAST_GAIN,
+    UNEXPLAINED,
+    WEIGHT,
+    WEIGHT_RATIO,
+    weigh,
+)
 
 FloatArray = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -27,7 +36,7 @@ _UNKNOWNS = 8
 _U, _V, _GAIN, _BIAS = 0, 3, 6, 7
 _MOVES = 6
 _ITERATIONS = 6
-#: Converged: the last step of the position and a third of that of the patch's edge, px.
+#: Converged: the last step of the position and an eighth of that of the patch's edge, px.
 _STEP_PX = 0.05
 #: A step goes no farther than this, px.
 _LONGEST_STEP_PX = 1.0
@@ -35,11 +44,10 @@ _LONGEST_STEP_PX = 1.0
 #: changes by 0 +- 0.1 from where it is expected, the position by 0 +- 2 px.
 _WARPS, _SHIFTS = 20.0 / (0.1 * HALF) ** 2, 20.0 / 2.0**2
 _PRIOR = np.array([_SHIFTS, _WARPS, _WARPS, _SHIFTS, _WARPS, _WARPS, 0.0, 0.0])
-_LEAST_GAIN, _LARGEST_GAIN = 0.2, 5.0
-#: Largest share of the later patch's variance that the model leaves unexplained.
-_UNEXPLAINED = 0.4
-#: After so many steps, a patch that leaves this share unexplained is not the same.
-_PATIENCE, _HOPELESS = 3, 0.8
+#: Steps before a patch is given up as hopeless.
+_PATIENCE = 3
+#: Residuals that count, less the unknowns: as a share of the weight.
+_FREEDOM = WEIGHT - _UNKNOWNS * WEIGHT_RATIO
 _LEAST_DETERMINANT = 0.3
 _LEAST_DENOMINATOR = 0.5
 #: Largest side of what a warped patch covers, px.
@@ -71,11 +79,10 @@ def _differentiate(template: NDArray[np.uint8], grid: Floats, J: Floats) -> np.f
                 _f32(template[here + side]) - _f32(template[here - side])
             )
             J[grey + k + i] = _f32(template[here])
-    weight = mean = _f32(0)
+    mean = _f32(0)
     for p in range(_u64(AREA)):
-        weight += grid[p]
         mean += grid[p] * J[grey + p]
-    mean /= weight
+    mean /= _f32(WEIGHT)
     for p in range(_u64(AREA)):
         J[_u64(AREA) + p] = J[p] * grid[_u64(AREA) + p]
         J[_u64(2 * AREA) + p] = J[p] * grid[_u64(2 * AREA) + p]
@@ -86,12 +93,8 @@ def _differentiate(template: NDArray[np.uint8], grid: Floats, J: Floats) -> np.f
 
 
 @njit
-def _weigh(J: Floats, grid: Floats, WJ: Floats, normal: FloatArray) -> None:
-    """Weighted Jacobian, and the lower triangle of its scalar products with the plain one."""
-    for a in range(_UNKNOWNS):
-        row = _u64(a * AREA)
-        for p in range(_u64(AREA)):
-            WJ[row + p] = grid[p] * J[row + p]
+def _normal_matrix(WJ: Floats, J: Floats, normal: FloatArray) -> None:
+    """Lower triangle of the scalar products of the weighted columns with the plain ones."""
     for a in range(_UNKNOWNS):
         for b in range(a + 1):
             first, second = _u64(a * AREA), _u64(b * AREA)
@@ -202,15 +205,10 @@ def follow_all(
     region = np.zeros(_REGION * _REGION, np.float32)
     normal = np.zeros((_UNKNOWNS, _UNKNOWNS))
     moment, x, moved = np.zeros(_UNKNOWNS), np.zeros(_UNKNOWNS), np.zeros(_MOVES)
-    weight = ratio = 0.0
-    for p in range(AREA):
-        weight += grid[p]
-        ratio += grid[p] * grid[p]
-    ratio /= weight  # of an estimate's variance to the inverse of its normal matrix
-    freedom = weight - _UNKNOWNS * ratio
     for n in range(len(templates)):
         mean = _differentiate(templates[n], grid, J)
-        _weigh(J, grid, WJ, normal)
+        weigh(J, grid, _UNKNOWNS, WJ)
+        _normal_matrix(WJ, J, normal)
         if not factorise(normal, _PRIOR):
             continue
         A[:] = warp[n]
@@ -232,7 +230,7 @@ def follow_all(
                 for p in range(_u64(AREA)):
                     product += WJ[row + p] * R[p]
                 moment[a] = product
-            variance = total - moment[_BIAS] * moment[_BIAS] / weight
+            variance = total - moment[_BIAS] * moment[_BIAS] / WEIGHT
             for a in range(_MOVES):
                 moment[a] -= _PRIOR[a] * gain * moved[a]
             x[:] = moment
@@ -240,9 +238,9 @@ def follow_all(
             unexplained = float(total)
             for a in range(_UNKNOWNS):
                 unexplained -= moment[a] * x[a]
-            if tried >= _PATIENCE and unexplained > _HOPELESS * variance:
+            if tried >= _PATIENCE and unexplained > HOPELESS * variance:
                 break
-            gain = min(max(x[_GAIN], _LEAST_GAIN), _LARGEST_GAIN)
+            gain = min(max(x[_GAIN], LEAST_GAIN), LARGEST_GAIN)
             step = max(abs(x[_U]), abs(x[_V])) / gain
             share = 1.0 / (gain * max(1.0, step / _LONGEST_STEP_PX))
             edge = 0.0
@@ -257,15 +255,15 @@ def follow_all(
             converged = max(step, edge / 8.0) < _STEP_PX
             if converged:
                 break
-        if not (converged and _LEAST_GAIN < gain < _LARGEST_GAIN):
+        if not (converged and LEAST_GAIN < gain < LARGEST_GAIN):
             continue
-        noise = max(unexplained, 0.0) / (freedom * gain * gain)
-        spread = noise * ratio * _variance(normal, offset[n], x, moment)
+        noise = max(unexplained, 0.0) / (_FREEDOM * gain * gain)
+        spread = noise * WEIGHT_RATIO * _variance(normal, offset[n], x, moment)
         stretch = abs(A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0])
         result[n, 0] = u + A[0, 0] * offset_u + A[0, 1] * offset_v
         result[n, 1] = v + A[1, 0] * offset_u + A[1, 1] * offset_v
         result[n, 2] = np.sqrt(spread * stretch + step * step)
         shift = max(abs(result[n, 0] - start[n, 0]), abs(result[n, 1] - start[n, 1]))
-        if unexplained <= _UNEXPLAINED * variance and shift <= reach[n]:
+        if unexplained <= UNEXPLAINED * variance and shift <= reach[n]:
             found[n] = True
             warp[n] = A

@@ -15,15 +15,16 @@ sense, and so would the length of the way.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from frontends.measurements import Image
-from frontends.patch_alignment import PATCH
 from frontends.patch_sampling import MIDDLE
+from frontends.patch_window import PATCH
+from frontends.rows import replaced_rows
 from frontends.template_alignment import TEMPLATE_SIDE, cut_all, follow_all
 
 FloatArray = NDArray[np.float64]
@@ -97,10 +98,7 @@ class Templates:
 
     def replaced(self, rows: NDArray[np.int64], other: Templates) -> Templates:
         """These patches with others in the place of some rows."""
-        parts = [getattr(self, part.name).copy() for part in fields(self)]
-        for mine, part in zip(parts, fields(self), strict=True):
-            mine[rows] = getattr(other, part.name)
-        return Templates(*parts)
+        return replaced_rows(self, rows, other)
 
     def moved(self, shift: FloatArray, sigma_px: FloatArray) -> Templates:
         """The same patches for landmarks (N, 2) px beside the ones they were cut for.

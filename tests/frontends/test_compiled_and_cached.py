@@ -29,7 +29,8 @@ DISPARITIES = """
 import hashlib
 import cv2
 import numpy as np
-from frontends.patch_alignment import PATCH, refine_all
+from frontends.patch_alignment import refine_all
+from frontends.patch_window import PATCH
 
 rng = np.random.default_rng(0)
 wide = cv2.GaussianBlur(rng.integers(0, 255, (120, 220)).astype(np.uint8), (0, 0), 2.0)
