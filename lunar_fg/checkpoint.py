@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from frontends.disparity_check import DisparityFinding
 from frontends.landmark_memory import LandmarkMemory
@@ -40,6 +41,8 @@ class Checkpoint:
         What it found, once it has judged.
     corrected
         Whether the finding was applied.
+    alignment
+        How the images of the pair have moved against each other, see `lunar_fg.alignment`.
     """
 
     memory: LandmarkMemory | None = None
@@ -50,6 +53,7 @@ class Checkpoint:
     watching: bool = True
     finding: DisparityFinding | None = None
     corrected: bool = False
+    alignment: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
 
     def to_bytes(self) -> bytes:
         """Pack it as a NumPy archive, bit for bit and without pickle."""
@@ -57,6 +61,7 @@ class Checkpoint:
             "next_id": self.next_id,
             "vertical_px": self.rectification.vertical_px,
             "disparity_px": self.rectification.disparity_px,
+            "alignment": self.alignment,
             "flags": np.array([self.vertical_measured, self.watching, self.corrected]),
         }
         for group, names, part in (
@@ -113,4 +118,5 @@ class Checkpoint:
             watching,
             finding,
             corrected,
+            arrays.get("alignment", np.zeros(0)),  # older logs have none
         )

@@ -22,6 +22,8 @@ from lunar_fg.orbital_files import MapConfig
 from lunar_fg.route import RouteConfig
 
 _CORRELATION = "landmark_correlation"
+#: Settings of `absolute` that are gone, with the values that older files have.
+_GONE = {"inflation": 1.8, "floor_pixels": 0.1}
 
 
 class Config(BaseModel):
@@ -51,6 +53,16 @@ class Config(BaseModel):
     absolute: AbsoluteConfig = Field(default_factory=AbsoluteConfig)
     dense: DenseStereoConfig = Field(default_factory=DenseStereoConfig)
     loop_closing: LoopClosingConfig = Field(default_factory=LoopClosingConfig)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_inflation(cls, data: object) -> object:
+        """Leave out what a fix's covariance no longer needs, where a file has its old default."""
+        absolute = data.get("absolute") if isinstance(data, dict) else None
+        if not isinstance(data, dict) or not isinstance(absolute, dict):
+            return data
+        kept = {k: v for k, v in absolute.items() if k not in _GONE or v != _GONE[k]}
+        return {**data, "absolute": kept}
 
     @model_validator(mode="before")
     @classmethod

@@ -15,6 +15,7 @@ from frontends.relative import MotionPrediction, RelativePositioning
 from frontends.stereo import StereoFeatures, StereoPerception
 from frontends.tracking import LandmarkTracker, Reach, in_view
 from frontends.tracks import Tracks
+from lunar_fg.alignment import Alignment
 from lunar_fg.checkpoint import Checkpoint
 from lunar_fg.config import Config
 from lunar_fg.dead_reckoning import DeadReckoning
@@ -75,6 +76,7 @@ class Frontend:
         self._tracker = LandmarkTracker(camera, config.tracking)
         self._unusable: dict[str, Episodes] = {}
         self._dead_camera = DeadCamera()
+        self._alignment = Alignment()
         self._richness = Richness()
         self._rover_T_camera = rover_T_camera
         self._start = start
@@ -106,6 +108,9 @@ class Frontend:
         else:
             with self._stopwatch.stage("stereo"):
                 features = self.perception.perceive(frame)
+            if self.perception.vertical_measured:
+                offset_px = float(self.perception.rectification.vertical_px[0])
+                self._alignment.see(frame.index, offset_px)
             possible = min(self._tracker.in_view(prediction), len(features))
             tracks, relative = self._locate(features, prediction)
             now = Refound(possible, relative.agreeing)
@@ -146,7 +151,8 @@ class Frontend:
         told = (line for episodes in self._unusable.values() for line in episodes.sentences())
         failure = self._dead_reckoning.failure
         given_up = (f"dead reckoning was given up {failure}",) if failure else ()
-        return (*told, *self._richness.warnings, *self._plausibility.warnings, *given_up)
+        of_images = (*self._alignment.warnings, *self._richness.warnings)
+        return (*told, *of_images, *self._plausibility.warnings, *given_up)
 
     def _refuse_dead(self, frame: StereoFrame | UnusableFrame) -> StereoFrame | UnusableFrame:
         if isinstance(frame, UnusableFrame):
@@ -177,6 +183,7 @@ class Frontend:
             perception.rectification,
             perception.vertical_measured,
             self._dead_camera.seen,
+            alignment=self._alignment.state,
         )
 
     def restore(
@@ -187,6 +194,7 @@ class Frontend:
         self.perception.rectification = checkpoint.rectification
         self.perception.vertical_measured = checkpoint.vertical_measured
         self._dead_camera.seen = checkpoint.images
+        self._alignment.restore(checkpoint.alignment)
         self.records = [record for _, record in frames]
         for keyframe, record in frames:
             if record.unusable:

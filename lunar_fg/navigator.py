@@ -14,6 +14,7 @@ from frontends.measurements import Estimate, StartPrior, StereoFrame, UnusableFr
 from frontends.orbital import OrbitalMap
 from frontends.rectification import RectificationError
 from frontends.revisit import Place
+from lunar_fg.alignment import NOTEWORTHY_OFFSET_PX
 from lunar_fg.blas import one_blas_thread
 from lunar_fg.checkpoint import Checkpoint
 from lunar_fg.config import Config
@@ -34,9 +35,6 @@ from lunar_fg.stopwatch import Stopwatch
 from lunar_fg.trajectory import Trajectory
 
 FloatArray = NDArray[np.float64]
-
-#: A vertical offset below this is within what the epipolar band allows for anyway, px.
-_NOTEWORTHY_OFFSET_PX = 0.5
 
 
 class Navigator:
@@ -222,7 +220,7 @@ class Navigator:
         """What a user should know about the run, one sentence each."""
         found: list[str] = []
         vertical = float(self._frontend.perception.rectification.vertical_px[0])
-        if abs(vertical) > _NOTEWORTHY_OFFSET_PX:
+        if abs(vertical) > NOTEWORTHY_OFFSET_PX:
             found.append(
                 f"the images are {vertical:+.2f} px apart vertically (v_left - v_right): removed"
             )

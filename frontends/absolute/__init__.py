@@ -6,8 +6,9 @@ from frontends.absolute.everywhere import EverywhereRelief, locate_everywhere
 from frontends.absolute.features import LayerMatch, SurfMatching, match_layers
 from frontends.absolute.light import SunEstimate, estimate_sun
 from frontends.absolute.patch import ReliefPatch, make_patch
+from frontends.absolute.peak import Peak
 from frontends.absolute.proposal import Proposal, Proposer
-from frontends.absolute.search import Peak, Search
+from frontends.absolute.search import Search
 
 __all__ = [
     "AbsoluteAdjustment",

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from frontends.absolute.correlating import ReliefInDem, RelitRelief
 from frontends.absolute.patch import ReliefPatch
+from frontends.absolute.peak import Peak
 from frontends.absolute.proposal import Proposal, Proposer, window_bounds
-from frontends.absolute.search import Peak, Search
+from frontends.absolute.search import Search
 from frontends.measurements import AbsoluteFix, FixCandidate
 from frontends.orbital import OrbitalMap
 from frontends.terrain import Grid
@@ -43,10 +44,12 @@ class AbsoluteConfig:
     false_alarm
         Probability that chance parts best and second place as far as they are, below
         which a place is believed.
-    inflation
-        Factor on the 1-sigma of correlation peaks, from Monte Carlo runs against truth.
-    floor_pixels
-        1-sigma that no fix falls below, in map pixels.
+    map_sigma_pixels
+        1-sigma of the map itself, per axis and in its pixels: how far the ground of a patch lies
+        from where the image has it. Orthorectification over an elevation model that is wrong by
+        some decimetres, jitter of the camera and the seams of mosaics make it; what a
+        patch shows cannot tell. Where the whole map lies is another matter, which fixes
+        leave open.
     dem_sigma_m
         1-sigma of the elevation model's heights.
     candidates
@@ -60,8 +63,7 @@ class AbsoluteConfig:
     most_length_m: Annotated[float, Gt(0)] = 60.0
     least_cells: Annotated[int, Ge(1)] = 800
     false_alarm: Annotated[float, Gt(0), Lt(1)] = 1e-5
-    inflation: Annotated[float, Gt(0)] = 1.8
-    floor_pixels: Annotated[float, Ge(0)] = 0.1
+    map_sigma_pixels: Annotated[float, Ge(0)] = 0.15
     dem_sigma_m: Annotated[float, Gt(0)] = 0.3
     candidates: Annotated[int, Ge(1)] = 3
 
@@ -215,16 +217,13 @@ class AbsoluteAdjustment:
         return ""
 
     def _agree(self, first: Peak, second: Peak) -> bool:
-        sigma = 3.0 * max(self.orbital.gsd_m, self._sigma(first), self._sigma(second))
+        sigma = 3.0 * max(self.orbital.gsd_m, _sigma_m(first), _sigma_m(second))
         return math.hypot(first.x_m - second.x_m, first.y_m - second.y_m) < sigma
 
-    def _sigma(self, peak: Peak) -> float:
-        return self.config.inflation * math.sqrt(float(np.trace(peak.covariance[:2, :2])))
-
     def _candidate(self, patch: ReliefPatch, proposal: Proposal, peak: Peak) -> FixCandidate:
-        covariance = (self.config.inflation * proposal.inflation) ** 2 * peak.covariance
-        floor = self.config.floor_pixels * self.orbital.gsd_m
-        covariance = covariance + np.diag([floor**2, floor**2, (floor / self.length_m) ** 2])
+        of_map = self.config.map_sigma_pixels * self.orbital.gsd_m
+        covariance = proposal.inflation**2 * peak.covariance
+        covariance = covariance + np.diag([of_map**2, of_map**2, (of_map / self.length_m) ** 2])
         yaw = math.remainder(patch.yaw_rad + peak.yaw_rad, 2.0 * math.pi)
         return FixCandidate(
             peak.x_m, peak.y_m, yaw, 0.5 * (covariance + covariance.T), peak.value,
@@ -243,3 +242,8 @@ class AbsoluteAdjustment:
             return None
         ground = float(np.nanmedian(near))
         return float(model.values.mean()) + patch.z_m - ground
+
+
+def _sigma_m(peak: Peak) -> float:
+    """1-sigma of the place, both axes together."""
+    return math.sqrt(float(np.trace(peak.covariance[:2, :2])))

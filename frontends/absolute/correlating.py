@@ -9,8 +9,9 @@ import numpy as np
 
 from frontends.absolute.channels import elevation_channels, rendered_channels
 from frontends.absolute.patch import ReliefPatch
+from frontends.absolute.peak import find_peak
 from frontends.absolute.proposal import Proposal, map_pixel, radius_m, window_bounds
-from frontends.absolute.search import Channel, Search, correlate, find_peak, yaw_steps
+from frontends.absolute.search import Channel, Search, correlate, yaw_steps
 from frontends.orbital import MapWindow, OrbitalMap
 
 #: Known share of the map window below which there is nothing to search in.

@@ -11,8 +11,9 @@ from frontends.absolute.adjustment import AbsoluteAdjustment, Adjustment
 from frontends.absolute.channels import padded, rendered_channels
 from frontends.absolute.correlating import RelitRelief
 from frontends.absolute.patch import ReliefPatch
+from frontends.absolute.peak import Peak
 from frontends.absolute.proposal import Proposal, map_pixel, radius_m, window_bounds
-from frontends.absolute.search import Peak, Search, Volume, correlate, turned, yaw_steps
+from frontends.absolute.search import Search, Volume, correlate, turned, yaw_steps
 from frontends.orbital import OrbitalMap
 from frontends.terrain import Grid
 

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from frontends.absolute.channels import relit
 from frontends.absolute.correlation import high_pass
 from frontends.absolute.patch import ReliefPatch
+from frontends.absolute.peak import Peak
 from frontends.absolute.proposal import Proposal, map_pixel, window_bounds
-from frontends.absolute.search import Peak, Search
+from frontends.absolute.search import Search
 from frontends.detector import FeatureDetector
 from frontends.matching import find_similarity, match_descriptors
 from frontends.measurements import Image

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontends.absolute.patch import ReliefPatch
-from frontends.absolute.search import Peak, Search, Volume
+from frontends.absolute.peak import Peak
+from frontends.absolute.search import Search, Volume
 from frontends.orbital import MapWindow, OrbitalMap
 
 Layer = NDArray[np.float32]

@@ -20,3 +20,13 @@ def test_a_correlation_written_where_it_used_to_be_holds_for_the_graph(tmp_path)
     path.write_text("relative: {landmark_correlation: 7}\n")
     with pytest.raises(InputError, match="less than"):
         read_config(path)
+
+
+def test_settings_of_fixes_that_are_gone_are_read_at_their_old_defaults_only(tmp_path):
+    path = tmp_path / "config.yaml"
+    path.write_text("absolute: {inflation: 1.8, floor_pixels: 0.1, false_alarm: 1.0e-6}\n")
+    config = read_config(path)
+    assert config.absolute == Config(absolute={"false_alarm": 1e-6}).absolute
+    path.write_text("absolute: {inflation: 3.0}\n")
+    with pytest.raises(InputError, match="inflation"):
+        read_config(path)

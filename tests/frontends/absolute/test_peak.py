@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from frontends.absolute import AbsoluteConfig
 from frontends.absolute.correlation import winsorised
-from frontends.absolute.search import Volume, find_peak
+from frontends.absolute.peak import find_peak
+from frontends.absolute.search import Volume
 from frontends.terrain import Grid
 
 STEP = 0.02
@@ -22,16 +22,18 @@ def volume(rng, rough):
 
 def test_a_peak_among_others_as_high_is_not_as_sharp_as_it_looks():
     off, sigma = [], []
-    for seed in range(60):
-        peak = find_peak(volume(np.random.default_rng(seed), 0.08))
+    for seed in range(120):
+        peak = find_peak(volume(np.random.default_rng(seed), 0.04))
         if peak is None or not np.isfinite(peak.covariance).all():
             continue  # no clear peak: refused
         off.append(peak.yaw_rad)
         sigma.append(np.sqrt(peak.covariance[2, 2]))
-    assert len(off) > 40
-    assert np.std(off) > 0.3 * STEP  # it is rough indeed
-    stated = AbsoluteConfig().inflation * np.array(sigma)
-    assert np.mean(np.abs(off) > 3.0 * stated) < 0.05
+    assert len(off) > 100
+    smooth = find_peak(volume(np.random.default_rng(0), 0.0))
+    # it is rough indeed: the curvature and the noise elsewhere alone know nothing of it
+    assert np.std(off) > 3.0 * np.sqrt(smooth.covariance[2, 2])
+    # two departures tell the roughness: the tail is that of Student's t, here 1 in 10
+    assert np.mean(np.abs(off) > 3.0 * np.array(sigma)) < 0.12
 
 
 def test_a_smooth_peak_is_as_sharp_as_it_looks():
