@@ -6,9 +6,10 @@ measured as between frames that follow each other (`frontends.relative`): RANSAC
 motions of three landmarks, a test against chance agreement, least squares on the reprojection.
 Landmarks are then looked for again near where that motion puts them, which finds more of them.
 
-From another side, and under another sun, a feature is not quite the same point of the ground.
-What differs from landmark to landmark is noise of each; what they have in common moves the
-whole view and is added to the covariance of the motion.
+From another side, and under another sun, a feature is not quite the same point of the ground: it
+walks over the surface as the view changes, as between frames (`frontends.tracking`), and as the
+light does. What differs from landmark to landmark is noise of each; what they have in common
+moves the whole view and is added to the covariance of the motion.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from frontends.relative import (
     RelativePositioning,
 )
 from frontends.stereo import StereoFeatures
+from frontends.tracking import TrackingConfig
 
 FloatArray = NDArray[np.float64]
 
@@ -45,14 +47,10 @@ _WINDOW_SIGMAS = 3.0
 #: Descriptor distance ratios: when looked for in a wide window, and where the place is known.
 _RATIO = 0.85
 _NEAR_RATIO = 0.9
-#: 1-sigma, as a share of a feature's size, of its movement on the surface: per unit of the
-#: logarithm of the distance, and per radian of the viewing direction.
-_BY_DISTANCE = 0.35
-_BY_DIRECTION = 0.4
-#: How much of that movement turns into disparity, as in `frontends.tracking`.
-_SURFACE_SLOPE = 0.4
-#: 1-sigma of the movement that all features have in common, as a share of their size.
-_COMMON_SHARE = 0.03
+#: 1-sigma, as a share of a feature's size, of its walk over the surface under another light.
+_BY_LIGHT = 0.03
+#: What of the walk all features of a view have in common.
+_COMMON = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,6 +173,8 @@ class Revisiting:
         Of the random sampling.
     landmark_correlation
         As for `RelativePositioning`.
+    tracking
+        How features walk over the surface.
     """
 
     def __init__(
@@ -183,8 +183,10 @@ class Revisiting:
         config: RelativeConfig | None = None,
         seed: int = 0,
         landmark_correlation: float = LANDMARK_CORRELATION,
+        tracking: TrackingConfig | None = None,
     ) -> None:
         self.camera = camera
+        self._tracking = tracking or TrackingConfig()
         self._positioning = RelativePositioning(camera, config, seed, landmark_correlation)
 
     def measure(
@@ -213,18 +215,30 @@ class Revisiting:
         if not first.accepted:
             return first
         known = MotionPrediction(first.a_T_b, first.covariance)
-        shift = _shift_px(old.points_cam, size, first.a_T_b)
-        near_px = min(half_px, _NEAR_SIGMAS * float(np.median(np.hypot(old.sigma_px, shift))))
+        walk = self._walk_px(old.points_cam, size, first.a_T_b)
+        near_px = min(half_px, _NEAR_SIGMAS * float(np.median(np.hypot(old.sigma_px, walk))))
         return self._estimate(views, known, near_px, _NEAR_RATIO)
 
     def least_sigma_m(self, place: Place) -> float:
         """1-sigma of the position below which a view of a place cannot tell more, m."""
         depth = self.camera.depth(place.uvd[:, 2].astype(np.float64))
-        return self._common_m(place.size_px.astype(np.float64), depth)
+        walk_px = _BY_LIGHT * place.size_px.astype(np.float64)
+        return _COMMON * float(np.median(walk_px * depth)) / self.camera.fx
 
-    def _common_m(self, size_px: FloatArray, depth_m: FloatArray) -> float:
-        """1-sigma of what all features of a view move together on the ground, m."""
-        return _COMMON_SHARE * float(np.median(size_px * depth_m)) / self.camera.fx
+    def _walk_px(self, points: FloatArray, size_px: FloatArray, a_T_b: FloatArray) -> FloatArray:
+        """1-sigma of a feature's walk over the surface, seen from another place, px.
+
+        A random walk: its variance grows with the change of the view, which is that of the
+        logarithm of the distance and that of the direction (rad). `points` are the landmarks in
+        the old view's axes, `a_T_b` leads from the new view's there.
+        """
+        here = points - a_T_b[:3, 3]
+        old_range, new_range = np.linalg.norm(points, axis=1), np.linalg.norm(here, axis=1)
+        cosine = np.sum(points * here, axis=1) / np.maximum(old_range * new_range, 1e-9)
+        direction = np.arccos(np.clip(cosine, -1.0, 1.0))
+        distance = np.abs(np.log(np.maximum(old_range, 1e-6) / np.maximum(new_range, 1e-6)))
+        variance = self._tracking.scale_change_sigma**2 * (distance + direction) + _BY_LIGHT**2
+        return np.asarray(size_px * np.sqrt(variance))
 
     def _estimate(
         self, views: _Views, prediction: MotionPrediction, half_px: float, ratio: float
@@ -234,9 +248,14 @@ class Revisiting:
         points = old.points_cam[matches.query]
         size = np.maximum(views.place.size_px[matches.query], views.features.size_px[matches.train])
         seen = views.features.observations.select(matches.train)
+        walk = self._walk_px(points, size, prediction.a_T_b)
         seen = replace(
-            _from_aside(seen, points, size, prediction.a_T_b),
+            seen,
             landmark_id=old.landmark_id[matches.query],
+            sigma_px=np.hypot(seen.sigma_px, walk),
+            sigma_disparity_px=np.hypot(
+                seen.sigma_disparity_px, self._tracking.surface_slope * walk
+            ),
         )
         measured = self._positioning.estimate(
             points, old.points_covariance[matches.query], seen, prediction
@@ -244,8 +263,9 @@ class Revisiting:
         if not measured.accepted:
             return measured
         inlier = np.isin(seen.landmark_id, measured.inlier_ids)
-        shift_m = self._common_m(size[inlier], seen.points_cam[inlier, 2])
-        turn = _COMMON_SHARE * float(np.median(size[inlier])) / self.camera.fx
+        common = _COMMON * self._walk_px(points, size, measured.a_T_b)[inlier] / self.camera.fx
+        turn = float(np.median(common))
+        shift_m = float(np.median(common * seen.points_cam[inlier, 2]))
         covariance = measured.covariance + np.diag([turn**2] * 3 + [shift_m**2] * 3)
         return replace(measured, covariance=covariance)
 
@@ -281,28 +301,3 @@ class Revisiting:
         near = float(np.percentile(old.points_cam[:, 2], 25.0)) if len(old) else 1.0
         wide = _WINDOW_SIGMAS * self.camera.fx * (turn + shift / near)
         return min(wide + 8.0, float(max(self.camera.width, self.camera.height)))
-
-
-def _from_aside(
-    seen: StereoObservations, points: FloatArray, size_px: FloatArray, a_T_b: FloatArray
-) -> StereoObservations:
-    """Observations with the noise of being seen from another distance and direction.
-
-    `points` are the same landmarks in the old view's axes, `a_T_b` leads from there here.
-    """
-    shift = _shift_px(points, size_px, a_T_b)
-    return replace(
-        seen,
-        sigma_px=np.hypot(seen.sigma_px, shift),
-        sigma_disparity_px=np.hypot(seen.sigma_disparity_px, _SURFACE_SLOPE * shift),
-    )
-
-
-def _shift_px(points: FloatArray, size_px: FloatArray, a_T_b: FloatArray) -> FloatArray:
-    """1-sigma of a feature's movement on the surface, seen from another place, px."""
-    here = points - a_T_b[:3, 3]
-    old_range, new_range = np.linalg.norm(points, axis=1), np.linalg.norm(here, axis=1)
-    cosine = np.sum(points * here, axis=1) / np.maximum(old_range * new_range, 1e-9)
-    direction = np.arccos(np.clip(cosine, -1.0, 1.0))
-    distance = np.log(np.maximum(old_range, 1e-6) / np.maximum(new_range, 1e-6))
-    return np.asarray(size_px * np.hypot(_BY_DISTANCE * distance, _BY_DIRECTION * direction))

@@ -17,7 +17,6 @@ import logging
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from enum import IntEnum
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -31,10 +30,12 @@ from frontends.measurements import Estimate
 from frontends.relative import LANDMARK_CORRELATION, MotionPrediction, RelativeConfig
 from frontends.revisit import Place, Revisiting
 from frontends.stereo import StereoFeatures
+from frontends.tracking import TrackingConfig
 from lunar_fg.graph.incremental import IncrementalSmoother
 from lunar_fg.graph.keyframe import Keyframe
 from lunar_fg.graph.ledger import FixDecision, LedgerEntry, LoopClosure
-from lunar_fg.graph.planar import Planar, planar, planar_of, wrapped
+from lunar_fg.graph.planar import planar
+from lunar_fg.kept_places import KeptPlaces
 
 logger = logging.getLogger("lunar_fg.loop_closing")
 
@@ -42,16 +43,9 @@ FloatArray = NDArray[np.float64]
 
 _LEAST_LANDMARKS = 30
 _MOST_LANDMARKS = 300
-#: Places are kept so often: share of the reach.
-_SPACING = 1.0 / 3.0
-#: A place is old when the rover has driven so many reaches since.
-_OLD = 3.0
 _SIGMAS = 3.0
-#: 1-sigma of a motion that was measured throughout, as a share of its way: far above any drift.
-_MOST_DRIFT = 0.2
-#: How many places are tried at a keyframe, and how many are looked at for that.
+#: How many places are tried at a keyframe.
 _MOST_TRIED = 3
-_MOST_LOOKED_AT = 40
 #: The graph must know the motion so many times worse than two views tell it.
 _TELLING = 4.0
 
@@ -81,23 +75,6 @@ class LoopClosingConfig:
     memory_mb: Annotated[float, Gt(0)] = 64.0
 
 
-class _Column(IntEnum):
-    """What is known of a place: all in metres and radians."""
-
-    X = 0
-    Y = 1
-    YAW = 2
-    SIGMA = 3
-    """1-sigma of the position."""
-    YAW_SIGMA = 4
-    REACH = 5
-    """How far from here the place can be told again."""
-    DRIVEN = 6
-    """Length of the drive up to here."""
-    LOST = 7
-    """Frames up to here whose motion was only predicted."""
-
-
 class LoopClosing:
     """Keeps places and recognises them.
 
@@ -113,6 +90,8 @@ class LoopClosing:
         Of its random sampling.
     landmark_correlation
         As for `RelativePositioning`.
+    tracking
+        As for `Revisiting`.
     """
 
     def __init__(
@@ -123,27 +102,21 @@ class LoopClosing:
         relative: RelativeConfig | None = None,
         seed: int = 0,
         landmark_correlation: float = LANDMARK_CORRELATION,
+        tracking: TrackingConfig | None = None,
     ) -> None:
         self.config = config or LoopClosingConfig()
         strict = replace(relative or RelativeConfig(), false_alarms=self.config.false_alarms)
         self._camera = camera
         self._rover_T_camera = rover_T_camera
-        self._revisiting = Revisiting(camera, strict, seed, landmark_correlation)
+        self._revisiting = Revisiting(camera, strict, seed, landmark_correlation, tracking)
         self._view_change = math.radians(self.config.view_change_deg)
-        self._places: list[Place] = []
-        self._bytes = 0
-        # Of each place where the rover was, as far as it knew then: see `_Column`.
-        self._table: FloatArray = np.empty((0, len(_Column)))
+        self._kept = self._nothing_kept()
         self._used: set[int] = set()
-        self._driven_m = 0.0
-        self._lost = 0
-        self._last: FloatArray | None = None
-        self._thinned = 1
 
     @property
     def places(self) -> list[Place]:
         """What is kept, oldest first."""
-        return list(self._places)
+        return self._kept.places
 
     def observe(
         self, keyframe: Keyframe, features: StereoFeatures | None, estimate: Estimate
@@ -164,15 +137,14 @@ class LoopClosing:
         Place or None
             What is kept of it.
         """
-        self._drive(estimate)
+        self._kept.drive(estimate)
         observations = keyframe.observations
         if observations is None or features is None or len(observations) < _LEAST_LANDMARKS:
             return None
-        if not self._is_far(planar(estimate.map_T_rover)):
+        if not self._kept.is_far(planar(estimate.map_T_rover)):
             return None
         place = Place.of(keyframe.index, features, _MOST_LANDMARKS)
-        depths = place.observations(self._camera).points_cam[:, 2]
-        self._keep(place, estimate, self._reach_m(depths))
+        self._kept.keep(place, estimate, self._reach_m(place))
         return place
 
     def close(
@@ -212,7 +184,7 @@ class LoopClosing:
         observations = keyframe.observations
         if observations is None:
             return None
-        for place, reach_m in self._near(smoother, estimate)[:_MOST_TRIED]:
+        for place, reach_m in self._kept.near(smoother, estimate, self._used)[:_MOST_TRIED]:
             try:
                 motion = smoother.between(place.frame, keyframe.index)
             except EstimationError:
@@ -250,16 +222,13 @@ class LoopClosing:
         ledger
             Of the run.
         """
-        self._places, self._bytes, self._thinned = [], 0, 1
-        self._table, self._used = self._table[:0], set()
-        self._driven_m, self._lost, self._last = 0.0, 0, None
+        self._kept, self._used = self._nothing_kept(), set()
         by_frame = {place.frame: place for place in places}
         for estimate in estimates:
-            self._drive(estimate)
+            self._kept.drive(estimate)
             place = by_frame.get(estimate.index)
             if place is not None:
-                depths = place.observations(self._camera).points_cam[:, 2]
-                self._keep(place, estimate, self._reach_m(depths))
+                self._kept.keep(place, estimate, self._reach_m(place))
         for entry in ledger:
             if isinstance(entry.measurement, LoopClosure):
                 self._used |= {entry.measurement.base, entry.measurement.frame}
@@ -267,67 +236,16 @@ class LoopClosing:
     def corrected(self, keyframes: Iterable[Keyframe]) -> list[Place]:
         """Places with a disparity error removed that was found, from the corrected keyframes."""
         seen = {keyframe.index: keyframe.observations for keyframe in keyframes}
-        pairs = ((place, seen[place.frame]) for place in self._places)
+        pairs = ((place, seen[place.frame]) for place in self._kept.places)
         return [place if by is None else place.corrected(by) for place, by in pairs]
 
-    def _drive(self, estimate: Estimate) -> None:
-        position = estimate.map_T_rover[:3, 3]
-        if self._last is not None:
-            self._driven_m += float(np.linalg.norm(position - self._last))
-        self._last = position
-        self._lost += estimate.lost
+    def _nothing_kept(self) -> KeptPlaces:
+        return KeptPlaces(self._view_change, self.config.memory_mb * 1e6)
 
-    def _reach_m(self, depths: FloatArray) -> float:
+    def _reach_m(self, place: Place) -> float:
+        """How far from where it was seen a place can be told again."""
+        depths = place.observations(self._camera).points_cam[:, 2]
         return float(np.median(depths)) * math.tan(self._view_change)
-
-    def _is_far(self, xyyaw: FloatArray) -> bool:
-        if not self._places:
-            return True
-        last = self._table[-1]
-        turned = abs(wrapped(xyyaw[2] - last[_Column.YAW]))
-        moved = float(np.linalg.norm(xyyaw[:2] - last[:2]))
-        spacing = _SPACING * self._thinned
-        return moved >= spacing * last[_Column.REACH] or turned >= spacing * 2.0 * self._view_change
-
-    def _keep(self, place: Place, estimate: Estimate, reach_m: float) -> None:
-        here = planar_of(estimate.map_T_rover, estimate.covariance)
-        row = np.concatenate([here.xyyaw, _sigmas(here), [reach_m, self._driven_m, self._lost]])
-        self._places.append(place)
-        self._table = np.vstack([self._table, row])
-        self._bytes += place.nbytes
-        if self._bytes > self.config.memory_mb * 1e6:
-            self._places, self._table = self._places[::2], self._table[::2]
-            self._bytes = sum(kept.nbytes for kept in self._places)
-            self._thinned *= 2
-
-    def _near(self, smoother: IncrementalSmoother, estimate: Estimate) -> list[tuple[Place, float]]:
-        """Old places that the rover may see now, the most alike view first, with their reach."""
-        here, table = planar_of(estimate.map_T_rover, estimate.covariance), self._table
-        reach = table[:, _Column.REACH]
-        way = self._driven_m - table[:, _Column.DRIVEN]
-        position, turn = _sigmas(here)
-        # of both positions; of a measured motion alone it is less
-        sigma = table[:, _Column.SIGMA] + position
-        measured = table[:, _Column.LOST] == self._lost
-        sigma[measured] = np.minimum(sigma, _MOST_DRIFT * way)[measured]
-        yaw_sigma = table[:, _Column.YAW_SIGMA] + turn
-        distance = np.linalg.norm(table[:, :2] - here.xyyaw[:2], axis=1)
-        turned = np.abs(np.angle(np.exp(1j * (table[:, _Column.YAW] - here.xyyaw[2]))))
-        possible = way >= _OLD * reach
-        possible &= distance <= reach + _SIGMAS * sigma
-        possible &= turned <= self._view_change + _SIGMAS * yaw_sigma
-        rows = np.flatnonzero(possible)
-        views = []
-        for row in rows[np.argsort(distance[rows], kind="stable")[:_MOST_LOOKED_AT]]:
-            place = self._places[row]
-            if place.frame in self._used:
-                continue
-            off = planar(smoother.pose(place.frame)) - here.xyyaw
-            change = float(np.linalg.norm(off[:2]) / reach[row])
-            change += abs(wrapped(float(off[2]))) / self._view_change
-            views.append((change, place, float(reach[row])))
-        views.sort(key=lambda view: view[0])
-        return [(place, reach_m) for _, place, reach_m in views]
 
     def _may_see(self, motion: MotionPrediction, reach_m: float) -> bool:
         """Whether the old view and the new one can be near enough for the same landmarks."""
@@ -335,12 +253,6 @@ class LoopClosing:
         yaw_sigma = math.sqrt(max(float(motion.covariance[2, 2]), 0.0))
         near = math.hypot(x, y) <= reach_m + _SIGMAS * _spread(motion.covariance)
         return near and abs(yaw) <= self._view_change + _SIGMAS * yaw_sigma
-
-
-def _sigmas(planar: Planar) -> tuple[float, float]:
-    """Largest 1-sigma of the position (m) and that of the yaw (rad)."""
-    position = float(np.linalg.eigvalsh(planar.covariance[:2, :2])[-1])
-    return math.sqrt(max(position, 0.0)), math.sqrt(max(float(planar.covariance[2, 2]), 0.0))
 
 
 def _spread(covariance: FloatArray) -> float:

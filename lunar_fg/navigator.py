@@ -95,7 +95,7 @@ class Navigator:
         if self.config.loop_closing.use:
             self.loops = LoopClosing(
                 camera, self.rover_T_camera, self.config.loop_closing, self.config.relative,
-                self.config.seed, self.config.graph.landmark_correlation,
+                self.config.seed, self.config.graph.landmark_correlation, self.config.tracking,
             )  # fmt: skip
         self.localisation = None if orbital is None else Localisation(
             camera, self.rover_T_camera, orbital,

@@ -137,7 +137,7 @@ def test_a_drive_that_returns_nowhere_asks_the_graph_for_nothing(monkeypatch):
     way = [pose(np.eye(3), [0.3 * k, 0.0, 0.0]) for k in range(24)]
     frames = [Scene().frame(map_T_rover @ MOUNT, k) for k, map_T_rover in enumerate(way)]
     navigator, _ = navigate(frames)
-    table = navigator.loops._table
+    table = navigator.loops._kept._table
     assert np.ptp(table[:, 6]) > 3.0 * table[0, 5] + 1.0, "long enough to look back"
     assert not asked
 
