@@ -16,7 +16,7 @@ from plotly.offline import get_plotlyjs
 
 from frontends.errors import InputError
 from lunar_fg import __version__
-from lunar_fg.report import figures
+from lunar_fg.report import figures, maps
 from lunar_fg.report.against_truth import AgainstTruth, against_truth
 from lunar_fg.report.fixes import FixRow, fix_rows, without_fixes
 from lunar_fg.report.orbital_image import MapPicture, map_picture
@@ -142,7 +142,7 @@ def _figures(
     truth = "" if compared is None else f" Truth: {compared.how}."
     yield _figure(
         f"{key}-map", "Trajectory", "From above, to scale; drag to pan, wheel to zoom, tap a name "
-        f"to hide it.{over}{truth}", figures.map_figure(results, compared, picture, fixless),
+        f"to hide it.{over}{truth}", maps.map_figure(results, compared, picture, fixless),
     )  # fmt: skip
     if compared is not None:
         yield _figure(
@@ -202,7 +202,7 @@ def _comparison(
     shown = [
         _figure(
             "all-map", "Trajectories", "All runs in their own map frames, one over the other.",
-            figures.overview_figure(tracks, found[0].truth_in_map if found else None, picture),
+            maps.overview_figure(tracks, found[0].truth_in_map if found else None, picture),
         )
     ]  # fmt: skip
     profiles = {
