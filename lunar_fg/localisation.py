@@ -24,7 +24,6 @@ from frontends.camera import StereoCamera
 from frontends.errors import EstimationError
 from frontends.measurements import (
     AbsoluteFix,
-    FixCandidate,
     StereoFrame,
     StereoObservations,
     UnusableFrame,
@@ -38,6 +37,7 @@ from lunar_fg.graph.ledger import FixDecision, LedgerEntry
 from lunar_fg.log_entries import LoggedFrame
 from lunar_fg.motion_config import MotionConfig
 from lunar_fg.plausibility import was_carried
+from lunar_fg.stations import Stations
 
 logger = logging.getLogger("lunar_fg.localisation")
 
@@ -73,14 +73,6 @@ class LocalisationConfig:
     most_window_m: Annotated[float, Gt(0)] = 80.0
     least_window_m: Annotated[float, Gt(0)] = 3.0
     least_window_deg: Annotated[float, Gt(0)] = 2.0
-
-
-@dataclass(frozen=True, slots=True)
-class _Station:
-    """A keyframe whose ground is mapped, and how far the rover had driven."""
-
-    frame: int
-    driven_m: float
 
 
 class Localisation:
@@ -122,11 +114,7 @@ class Localisation:
         self._camera = camera
         self._rover_T_camera = rover_T_camera
         self._dense = DenseStereo(camera, rover_T_camera, dense)
-        self._stations: list[_Station] = []
-        self._driven_m = 0.0
-        self._last: FloatArray | None = None
-        self._next_try_m = 0.0
-        self._tried: set[int] = set()
+        self._stations = Stations(self.config.mapping_step_m, self.adjustment.length_m)
         self._believed = self._refused = 0
 
     def observe(
@@ -158,16 +146,10 @@ class Localisation:
         bool
             Whether there is new ground.
         """
-        if self._last is not None:
-            step = float(np.linalg.norm(map_T_rover[:2, 3] - self._last[:2, 3]))
-            if step < self.config.mapping_step_m and self._stations:
-                return False
-            self._driven_m += step
-        self._last = map_T_rover
-        if isinstance(frame, UnusableFrame):
+        usable = not isinstance(frame, UnusableFrame)
+        if not self._stations.come(frame.index, map_T_rover, usable=usable):
             return False
-        self._stations.append(_Station(frame.index, self._driven_m))
-        if not measure:
+        if not measure or isinstance(frame, UnusableFrame):
             return True
         near = None
         if observations is not None and len(observations) > 20:
@@ -177,8 +159,7 @@ class Localisation:
 
     def lose(self) -> None:
         """Begin anew with ground: what was seen so far cannot be joined with what comes."""
-        self._stations, self._last = [], None
-        self._next_try_m = self._driven_m
+        self._stations.lose()
 
     def restore(
         self,
@@ -221,7 +202,7 @@ class Localisation:
                 past.estimate.map_T_rover, measure=not used,
             )  # fmt: skip
             for entry in came.get(frame.index, ()):
-                self._tried.add(entry.frame)
+                self._stations.tried(entry.frame)
                 self.settle(entry.history[0].verdict is Verdict.ACCEPTED)
 
     def correct(self, rectification: RectificationError) -> None:
@@ -234,7 +215,7 @@ class Localisation:
                 for frame in self.terrain.frames
             ]
         )
-        self._last = None
+        self._stations.jump()
 
     def fix(self, smoother: IncrementalSmoother, *, last: bool = False) -> FixDecision | None:
         """Try a fix if there is ground enough, and let the graph judge it.
@@ -244,7 +225,7 @@ class Localisation:
         result = self.attempt(smoother, last=last)
         if result is None:
             return None
-        logger.info(describe(result))
+        logger.info("%s", result)
         decision = smoother.add_fix(result.fix)
         self.settle(decision.accepted)
         return decision
@@ -254,11 +235,18 @@ class Localisation:
 
         Tell `settle` what the graph made of it.
         """
-        anchor = self._due(smoother, last)
+
+        def sigma_m(frame: int) -> float:
+            covariance = smoother.predicted(frame).planar().covariance
+            return math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+
+        anchor = self._stations.due(
+            last=last, most_sigma_m=self.config.most_sigma_m, sigma_m=sigma_m
+        )
         if anchor is None:
             return None
         try:
-            poses = {s.frame: smoother.predicted(s.frame).map_T_rover for s in self._stations}
+            poses = {k: smoother.predicted(k).map_T_rover for k in self._stations.frames}
             planar = smoother.predicted(anchor).planar()
         except EstimationError:
             return None
@@ -272,23 +260,16 @@ class Localisation:
             result = locate_everywhere(self.adjustment, patch, coarse or patch, search)
         else:
             result = self.adjustment.locate(patch, anchor, search)
-        self._tried.add(anchor)
+        self._stations.tried(anchor)
         if self.on_attempt is not None:
             self.on_attempt(result)
         return result
 
     def settle(self, accepted: bool) -> None:
         """Let go of the ground of a fix that is in the graph; keep it after a refusal."""
-        length = self.adjustment.length_m
         self._believed += accepted
         self._refused += not accepted
-        if accepted:
-            self._stations = []
-            self._next_try_m = self._driven_m
-            return
-        self._next_try_m = self._driven_m + 0.25 * length
-        oldest = self._driven_m - 1.5 * length
-        self._stations = [s for s in self._stations if s.driven_m >= oldest]
+        self._stations.settle(accepted)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -301,26 +282,6 @@ class Localisation:
             "shows too little of itself, or the map is not of this place, scale and orientation",
         )
 
-    def _due(self, smoother: IncrementalSmoother, last: bool) -> int | None:
-        """The anchor of the next attempt: the keyframe in the middle of the ground."""
-        early = not last and self._driven_m < self._next_try_m
-        if len(self._stations) < 3 or early:
-            return None
-        length = self.adjustment.length_m
-        driven = self._stations[-1].driven_m - self._stations[0].driven_m
-        if driven < 0.5 * length:
-            return None
-        middle = 0.5 * (self._stations[-1].driven_m + self._stations[0].driven_m)
-        free = [s for s in self._stations if s.frame not in self._tried]
-        if not free:
-            return None
-        anchor = min(free, key=lambda s: abs(s.driven_m - middle)).frame
-        if driven >= length or last:
-            return anchor
-        planar = smoother.predicted(self._stations[-1].frame).planar()
-        sigma = math.sqrt(float(np.linalg.eigvalsh(planar.covariance[:2, :2])[-1]))
-        return anchor if sigma > self.config.most_sigma_m else None
-
     def _search(self, sigma: FloatArray) -> Search:
         config = self.config
         x, y = (
@@ -329,17 +290,3 @@ class Localisation:
         )
         yaw = math.radians(config.least_window_deg) + _WINDOW_SIGMAS * float(sigma[2])
         return Search(x, y, min(yaw, math.pi))
-
-
-def describe(adjustment: Adjustment) -> str:
-    """One line on an attempt, for the log of the run."""
-    fix = adjustment.fix
-    if not fix.candidates:
-        return f"keyframe {fix.frame}: no fix: {fix.reason}"
-    best: FixCandidate = fix.candidates[0]
-    sigma = np.sqrt(np.diag(best.covariance))
-    return (
-        f"keyframe {fix.frame}: fix by {best.proposer} at {best.x_m:.2f}, {best.y_m:.2f} m "
-        f"(sigma {sigma[0]:.2f}, {sigma[1]:.2f} m), second place at "
-        f"{fix.second_best_ratio:.0%} of its standing"
-    )

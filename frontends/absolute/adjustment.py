@@ -90,6 +90,19 @@ class Adjustment:
     patch: ReliefPatch | None
     proposals: tuple[Proposal, ...]
 
+    def __str__(self) -> str:
+        """One line, for the log of a run."""
+        fix = self.fix
+        if not fix.candidates:
+            return f"keyframe {fix.frame}: no fix: {fix.reason}"
+        best = fix.candidates[0]
+        sigma = np.sqrt(np.diag(best.covariance))
+        return (
+            f"keyframe {fix.frame}: fix by {best.proposer} at {best.x_m:.2f}, {best.y_m:.2f} m "
+            f"(sigma {sigma[0]:.2f}, {sigma[1]:.2f} m), second place at "
+            f"{fix.second_best_ratio:.0%} of its standing"
+        )
+
 
 class AbsoluteAdjustment:
     """Finds a patch in an orbital map.
