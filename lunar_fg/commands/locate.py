@@ -17,7 +17,6 @@ from frontends.errors import InputError
 from frontends.measurements import SunDirection
 from lunar_fg.commands.shared import err, out
 from lunar_fg.fix_pictures import FixPictures
-from lunar_fg.localisation import describe
 from lunar_fg.locate import ground_of, locate, map_of
 from lunar_fg.results import read_results
 from lunar_fg.run_folder import RunFolder
@@ -60,7 +59,7 @@ def locate_command(
     for adjustment in locate(results, terrain, orbital, settings_of(folder).absolute, search):
         found.append(adjustment.fix)
         if not json:
-            out.print(describe(adjustment), markup=False)
+            out.print(str(adjustment), markup=False)
         if pictures is not None:
             FixPictures(pictures).draw(adjustment)
     if json:

@@ -15,7 +15,7 @@ from frontends.rectification import RectificationError
 from lunar_fg.fix_pictures import FixPictures, picture_of
 from lunar_fg.graph.ledger import LedgerEntry, Ruling
 from lunar_fg.graph.planar import Planar
-from lunar_fg.localisation import Localisation, LocalisationConfig, describe
+from lunar_fg.localisation import Localisation, LocalisationConfig
 from lunar_fg.orbital_files import MapConfig, open_orbital, place
 from tests.frontends.absolute.relief import drive, heightfield, moved, see, write_dem, write_map
 
