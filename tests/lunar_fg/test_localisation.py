@@ -84,7 +84,7 @@ def test_fixes_come_with_new_ground_and_hit_the_truth(world):
     for fix in found:
         true, best = poses[fix.frame], fix.candidates[0]
         assert math.hypot(best.x_m - true[0, 3], best.y_m - true[1, 3]) < 0.15
-    assert "fix by relit relief" in describe(attempts[0])
+    assert "fix by relit relief" in str(attempts[0])
     # no keyframe's ground serves two fixes
     assert abs(found[0].frame - found[1].frame) >= 19
 
