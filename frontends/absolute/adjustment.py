@@ -63,7 +63,7 @@ class AbsoluteConfig:
     most_length_m: Annotated[float, Gt(0)] = 60.0
     least_cells: Annotated[int, Ge(1)] = 800
     false_alarm: Annotated[float, Gt(0), Lt(1)] = 1e-5
-    map_sigma_pixels: Annotated[float, Ge(0)] = 0.15
+    map_sigma_pixels: Annotated[float, Ge(0)] = 0.2
     dem_sigma_m: Annotated[float, Gt(0)] = 0.3
     candidates: Annotated[int, Ge(1)] = 3
 
@@ -234,7 +234,7 @@ class AbsoluteAdjustment:
         return math.hypot(first.x_m - second.x_m, first.y_m - second.y_m) < sigma
 
     def _candidate(self, patch: ReliefPatch, proposal: Proposal, peak: Peak) -> FixCandidate:
-        of_map = self.config.map_sigma_pixels * self.orbital.gsd_m
+        of_map = self.config.map_sigma_pixels * proposal.pixel_m
         covariance = proposal.inflation**2 * peak.covariance
         covariance = covariance + np.diag([of_map**2, of_map**2, (of_map / self.length_m) ** 2])
         yaw = math.remainder(patch.yaw_rad + peak.yaw_rad, 2.0 * math.pi)

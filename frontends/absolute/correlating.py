@@ -21,8 +21,9 @@ _MOST_DARK = 0.6
 #: Pixels of an elevation model that a patch must cover: models resolve some three pixels, and
 #: what fewer than some two hundred such blots say is wrong by more than it seems.
 _LEAST_DEM_PIXELS = 2000
-#: The errors of an elevation model are as long as its relief: they shift the peak as one.
-_DEM_INFLATION = 2.2
+#: The errors of an elevation model are as long as its relief, and longer than what other ground
+#: makes of the correlation: they shift the peak as one. From simulated models against truth.
+_DEM_INFLATION = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,10 +41,11 @@ class RelitRelief:
             return Proposal(self.name, reason="too dark: the map's sun is below the horizon")
         window = orbital.ortho.window(window_bounds(patch, search), patch.grid.cell_m)
         sun, pixel = orbital.sun, map_pixel(orbital, patch)
-        return _correlated(
+        found = _correlated(
             self.name, patch, window, search, pixel,
             lambda: rendered_channels(patch, window, sun, pixel),
         )  # fmt: skip
+        return replace(found, pixel_m=orbital.ortho.gsd_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +69,7 @@ class ReliefInDem:
             self.name, patch, window, search, pixel,
             lambda: elevation_channels(patch, window, pixel),
         )  # fmt: skip
-        return replace(found, inflation=_DEM_INFLATION)
+        return replace(found, pixel_m=orbital.dem.gsd_m, inflation=_DEM_INFLATION)
 
 
 def _correlated(

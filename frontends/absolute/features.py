@@ -38,6 +38,11 @@ def _detector() -> FeatureDetector:
     return SURF(hessian_threshold=50.0, accurate=True, max_keypoints=4000)
 
 
+#: Features near each other err together, which their scatter does not show. From the headings of
+#: crops of one real map found in another.
+_INFLATION = 1.8
+
+
 @dataclass(frozen=True, slots=True)
 class SurfMatching:
     """Matches SURF features of the patch, as photographed or re-lit, with the map's.
@@ -82,7 +87,10 @@ class SurfMatching:
         if outside:
             reason = "the match lies outside of where the rover can be"
             return Proposal(self.name, reason=reason, window=window, template=values)
-        return Proposal(self.name, peak, inliers=found.inliers, window=window, template=values)
+        return Proposal(
+            self.name, peak, inliers=found.inliers, window=window, template=values,
+            pixel_m=orbital.ortho.gsd_m, inflation=_INFLATION,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

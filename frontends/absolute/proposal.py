@@ -36,8 +36,10 @@ class Proposal:
         The patch as the method compared it, at its own yaw.
     volume
         Coefficients of all places, where there are any.
+    pixel_m
+        Of the map that was compared; 0 where none was.
     inflation
-        Factor on the peak's 1-sigma that the method needs beside the common one.
+        Factor on the peak's 1-sigma: what the method's own account of its noise leaves out.
     """
 
     proposer: str
@@ -47,6 +49,7 @@ class Proposal:
     window: MapWindow | None = None
     template: Layer | None = None
     volume: Volume | None = None
+    pixel_m: float = 0.0
     inflation: float = 1.0
 
 
