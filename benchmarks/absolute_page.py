@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import chi2
 
+from benchmarks.absolute_maps import BENT_OVER_M, BENT_PIXELS
 from benchmarks.absolute_trials import GSDS_M, LENGTHS_M, SUN_DIFFERENCES_DEG, Trial
 
 
