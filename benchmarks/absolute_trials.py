@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -26,12 +27,16 @@ WINDOW = Search(15.0, 15.0, math.radians(3.0))
 
 @dataclass(frozen=True)
 class Ground:
-    """What a run without fixes knows of a traverse, and the truth."""
+    """What a run without fixes knows of a traverse, and the truth.
+
+    `motions`: covariance of x, y and yaw of the motion from each keyframe to the next.
+    """
 
     name: str
     terrain: TerrainMap
     estimated: dict[int, np.ndarray]
     true: dict[int, np.ndarray]
+    motions: dict[int, np.ndarray]
     crs: str
     origin: tuple[float, float, float]
 
@@ -73,9 +78,11 @@ def drive(folder: Path) -> Ground:
             terrain.add(dense.measure(frame, rectification, 1.2))
     index = [frame.index for frame in frames]
     estimated = dict(zip(index, navigator.trajectory().map_T_rover, strict=True))
+    motion = navigator._smoother.motion
+    motions = {a: motion(a, b).covariance for a, b in pairwise(index)}
     true = dict(zip(index, dataset.ground_truth.map_T_rover, strict=True))
     reference = dataset.map_reference
-    return Ground(folder.name, terrain, estimated, true, reference.crs, reference.origin_m)
+    return Ground(folder.name, terrain, estimated, true, motions, reference.crs, reference.origin_m)
 
 
 def perturbed(ground: Ground, anchor: int, frames: list[int], seed: int) -> dict[int, np.ndarray]:
@@ -100,8 +107,9 @@ def attempt(
     ]  # fmt: skip
     adjustment = AbsoluteAdjustment(orbital)
     start = time.process_time()
+    motions = [sum(ground.motions[k] for k in range(a, b)) for a, b in pairwise(frames)]
     patch = make_patch(ground.terrain, perturbed(ground, anchor, frames, seed), anchor,
-                       adjustment.cell_m)  # fmt: skip
+                       adjustment.cell_m, motions)  # fmt: skip
     result = adjustment.locate(patch, anchor, WINDOW)
     cpu = time.process_time() - start
     true, fix = ground.true[anchor], result.fix

@@ -6,6 +6,7 @@ import logging
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -246,17 +247,19 @@ class Localisation:
         if anchor is None:
             return None
         try:
-            poses = {k: smoother.predicted(k).map_T_rover for k in self._stations.frames}
+            frames = self._stations.frames
+            poses = {k: smoother.predicted(k).map_T_rover for k in frames}
+            motions = [smoother.motion(a, b).covariance for a, b in pairwise(frames)]
             planar = smoother.predicted(anchor).planar()
         except EstimationError:
             return None
-        patch = make_patch(self.terrain, poses, anchor, self.adjustment.cell_m)
+        patch = make_patch(self.terrain, poses, anchor, self.adjustment.cell_m, motions)
         sigma = np.sqrt(np.maximum(np.diag(planar.covariance), 0.0))
         search, orbital = self._search(sigma), self.adjustment.orbital
         # coarse to fine is for images; an elevation model alone is searched as ever
         lost = search.half_yaw_rad >= 0.5 * math.pi and None not in (orbital.ortho, orbital.sun)
         if lost and patch is not None:
-            coarse = make_patch(self.terrain, poses, anchor, self.adjustment.coarse_cell_m)
+            coarse = make_patch(self.terrain, poses, anchor, self.adjustment.coarse_cell_m, motions)
             result = locate_everywhere(self.adjustment, patch, coarse or patch, search)
         else:
             result = self.adjustment.locate(patch, anchor, search)

@@ -235,7 +235,10 @@ class AbsoluteAdjustment:
 
     def _candidate(self, patch: ReliefPatch, proposal: Proposal, peak: Peak) -> FixCandidate:
         of_map = self.config.map_sigma_pixels * proposal.pixel_m
-        covariance = proposal.inflation**2 * peak.covariance
+        turn = np.eye(3)
+        cosine, sine = math.cos(peak.yaw_rad), math.sin(peak.yaw_rad)
+        turn[:2, :2] = [[cosine, -sine], [sine, cosine]]
+        covariance = proposal.inflation**2 * peak.covariance + turn @ patch.bending @ turn.T
         covariance = covariance + np.diag([of_map**2, of_map**2, (of_map / self.length_m) ** 2])
         yaw = math.remainder(patch.yaw_rad + peak.yaw_rad, 2.0 * math.pi)
         return FixCandidate(

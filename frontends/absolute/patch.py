@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from frontends.absolute.bending import Strip, bending
 from frontends.geometry import yaw_pitch_roll
 from frontends.terrain import Grid, TerrainMap, without_rocks
 
@@ -44,6 +45,9 @@ class ReliefPatch:
         Grey level; NaN where unknown.
     sigma_m
         1-sigma of the heights, median.
+    bending
+        (3, 3) covariance of the anchor's x, y and yaw by what the path between the keyframes is
+        wrong by, map axes.
     """
 
     frame: int
@@ -55,6 +59,7 @@ class ReliefPatch:
     height_m: Layer
     ortho: Layer
     sigma_m: float
+    bending: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
 
     @property
     def mask(self) -> Mask:
@@ -79,7 +84,11 @@ class ReliefPatch:
 
 
 def make_patch(
-    terrain: TerrainMap, map_T_rover: Mapping[int, FloatArray], frame: int, cell_m: float
+    terrain: TerrainMap,
+    map_T_rover: Mapping[int, FloatArray],
+    frame: int,
+    cell_m: float,
+    motions: Sequence[FloatArray] | None = None,
 ) -> ReliefPatch | None:
     """Lay out the ground that some keyframes saw.
 
@@ -93,6 +102,9 @@ def make_patch(
         The anchor.
     cell_m
         Cells of the map that it will be compared with.
+    motions
+        Covariances (3, 3) of x, y and yaw of the motion from each of these keyframes to the next
+        one, in the level axes of the former; None: the path is taken as exact.
 
     Returns
     -------
@@ -127,7 +139,30 @@ def make_patch(
         reduced(fine.height_m),
         reduced(fine.ortho),
         float(np.median(fine.sigma_m[ground])) if ground.any() else float("nan"),
+        np.zeros((3, 3)) if motions is None else _bending(terrain, map_T_rover, frame, motions),
     )
+
+
+def _bending(
+    terrain: TerrainMap,
+    map_T_rover: Mapping[int, FloatArray],
+    anchor: int,
+    motions: Sequence[FloatArray],
+) -> FloatArray:
+    """What the motions' errors do to the place of a patch, see `bending`."""
+    frames = sorted(map_T_rover)
+    xyyaw, ground, spread, weight = [], [], [], []
+    for frame in frames:
+        pose = map_T_rover[frame]
+        points = terrain.points(frame).points if frame in terrain.frames else np.zeros((0, 3))
+        places = points @ pose[:2, :3].T + pose[:2, 3]
+        middle = places.mean(axis=0) if len(places) else pose[:2, 3]
+        xyyaw.append([pose[0, 3], pose[1, 3], yaw_pitch_roll(pose)[0]])
+        ground.append(middle)
+        spread.append(np.sum((places - middle) ** 2) / max(len(places), 1))
+        weight.append(float(len(places)))
+    strip = Strip(np.array(xyyaw), np.array(ground), np.array(spread), np.array(weight), motions)
+    return bending(strip, frames.index(anchor))
 
 
 def _inset(grid: Grid) -> tuple[float, float, float, float]:
