@@ -2,7 +2,7 @@
 
     lunar-fg simulate DATA/c0 --spec CIRCUIT.yaml     (path: {length_m: 104, step_m: 0.8,
         circuit_m: 50, waypoint_offset_m: 2}; others with a later_sun)
-    python benchmarks/loops.py DATA/c0 DATA/c30 DATA/c90 --returns ../shared/data/kitti-06-000-050
+    python -m benchmarks.loops DATA/c0 DATA/c30 DATA/c90 DATA/n20 --returns KITTI_06
 
 Recognition: pairs of views, one of each half of a drive, with a predicted motion that is wrong
 by 0.3 m and 1 degree on each axis. False closures: views that share nothing, as if the rover
@@ -202,7 +202,8 @@ def main() -> None:
         "# Closed loops: benchmark",
         "",
         "Made by `benchmarks/loops.py`; see its text for the set-up. The number of a circuit is "
-        "by how many degrees of azimuth the sun stands elsewhere in the second half.",
+        "by how many degrees of azimuth the sun stands elsewhere in the second half; n20 is of "
+        "another terrain, sun and image size, and had no part in setting anything.",
         "",
         "Pairs of views within 20 degrees of heading that were tied:",
         "",
