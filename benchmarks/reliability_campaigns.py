@@ -31,11 +31,12 @@ def monte_carlo(outcomes: Sequence[Outcome]) -> list[str]:
         "all follow the seed. Median over the seeds, in brackets the 10th and 90th percentile. "
         "A fix is right within half a metre of the truth or three of its own sigmas; precision is "
         "the share of the believed ones that are "
-        "right, recall the share of the right ones that are believed.",
+        "right, recall the share of the right ones that are believed. Their NEES is the mean "
+        "squared error of the right ones' x and y over the stated covariance, a degree of freedom.",
         "",
         "| terrain, sun | runs | failed | drift % | final error m | ATE m | NEES | within 3 sigma "
-        "| lost | fixes tried | precision | recall |",
-        "|---|---|---|---|---|---|---|---|---|---|---|---|",
+        "| lost | fixes tried | precision | recall | their NEES |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     groups = groups_of(outcomes)
     for group in [*groups, Group("all", tuple(outcomes))] if len(groups) > 1 else groups:
@@ -50,7 +51,7 @@ def monte_carlo(outcomes: Sequence[Outcome]) -> list[str]:
             f"| {spread(runs, 'coverage')} | {sum(o.frames_lost for o in runs)} "
             f"| {sum(o.fixes_tried for o in runs)} "
             f"| {f'{hits / accepted:.2f}' if accepted else '-'} "
-            f"| {f'{hits / right:.2f}' if right else '-'} |"
+            f"| {f'{hits / right:.2f}' if right else '-'} | {_nees_of_fixes(runs)} |"
         )
     poor = [o for o in outcomes if not o.error and ((o.coverage or 0.0) < 0.95 or o.frames_lost)]
     lines += ["", "Runs with less than 95 % of the poses within 3 sigma, or with lost frames:", ""]
@@ -67,6 +68,15 @@ def monte_carlo(outcomes: Sequence[Outcome]) -> list[str]:
         + ".",
     ]
     return [*lines, ""]
+
+
+def _nees_of_fixes(runs: Sequence[Outcome]) -> str:
+    """Mean over all right fixes, not over runs."""
+    known = [(o.fixes_nees, o.fixes_right) for o in runs if o.fixes_nees is not None]
+    if not known:
+        return "-"
+    nees, count = np.transpose(known)
+    return f"{np.average(nees, weights=count):.2f}"
 
 
 def _short(name: str) -> str:

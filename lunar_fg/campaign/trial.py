@@ -44,7 +44,7 @@ class Outcome:
         Against the truth, in the map where the truth is in it (ATE: rmse, no alignment).
     nees, coverage
         Mean NEES a degree of freedom; share of the poses within 3 sigma on every map axis.
-    fixes_tried, fixes_right, fixes_accepted, fixes_accepted_right
+    fixes_tried, fixes_right, fixes_accepted, fixes_accepted_right, fixes_nees
         See `lunar_fg.evaluation.fixes.FixCounts`.
     drift_after_percent
         Error of the motion from where the last fault ended to the end of the drive, as a share
@@ -71,6 +71,7 @@ class Outcome:
     fixes_right: int = 0
     fixes_accepted: int = 0
     fixes_accepted_right: int = 0
+    fixes_nees: float | None = None
     drift_after_percent: float | None = None
     cpu_s: float = 0.0
     wall_s: float = 0.0

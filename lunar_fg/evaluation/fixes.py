@@ -27,12 +27,16 @@ class FixCounts:
         Of these, those with a candidate at the true place.
     accepted, accepted_right
         Those that were believed in the end, and at the true place.
+    nees
+        Mean squared error of the right places over their stated covariance, a degree of freedom;
+        1 is honest. None without any.
     """
 
     tried: int = 0
     right: int = 0
     accepted: int = 0
     accepted_right: int = 0
+    nees: float | None = None
 
     @property
     def precision(self) -> float | None:
@@ -61,6 +65,7 @@ def count_fixes(ledger: Iterable[LedgerEntry], position_m: Mapping[int, FloatArr
         A place counts as right within half a metre or three of its own sigmas.
     """
     tried = right = accepted = accepted_right = 0
+    squared: list[float] = []
     for entry in ledger:
         fix = entry.measurement
         if not isinstance(fix, AbsoluteFix) or fix.frame not in position_m:
@@ -69,11 +74,14 @@ def count_fixes(ledger: Iterable[LedgerEntry], position_m: Mapping[int, FloatArr
         places = []
         for place in fix.candidates:
             error = np.array([place.x_m, place.y_m]) - truth
-            sigmas = float(np.sqrt(error @ np.linalg.solve(place.covariance[:2, :2], error)))
-            places.append(bool(np.hypot(*error) < _RIGHT_M or sigmas < _RIGHT_SIGMAS))
+            distance2 = float(error @ np.linalg.solve(place.covariance[:2, :2], error))
+            places.append(bool(np.hypot(*error) < _RIGHT_M or distance2 < _RIGHT_SIGMAS**2))
+            if places[-1]:
+                squared.append(0.5 * distance2)
         believed = entry.ruling.candidate
         tried += 1
         right += any(places)
         accepted += believed is not None
         accepted_right += believed is not None and places[believed]
-    return FixCounts(tried, right, accepted, accepted_right)
+    nees = float(np.mean(squared)) if squared else None
+    return FixCounts(tried, right, accepted, accepted_right, nees)

@@ -1,6 +1,9 @@
 """Verdicts on fixes against the truth."""
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from frontends.measurements import AbsoluteFix, FixCandidate, Verdict
 from lunar_fg.evaluation.fixes import FixCounts, count_fixes
@@ -32,7 +35,9 @@ def test_what_was_right_and_what_was_believed():
         LedgerEntry(7, Height(0, 1.0, 0.1), (Ruling(0, Verdict.ACCEPTED, 0, 1.0, "", 7),)),
     ]
     counts = count_fixes(ledger, {k: np.array([float(k), 0.0]) for k in range(6)})
-    assert counts == FixCounts(tried=6, right=4, accepted=4, accepted_right=3)
+    # errors of 2, 0, 2 and 2 sigmas along one of two axes
+    assert counts.nees == pytest.approx(1.5)
+    assert replace(counts, nees=None) == FixCounts(tried=6, right=4, accepted=4, accepted_right=3)
     assert counts.precision == 0.75
     assert counts.recall == 0.75
 
@@ -40,3 +45,4 @@ def test_what_was_right_and_what_was_believed():
 def test_without_fixes_there_is_no_rate():
     assert count_fixes([], {}).precision is None
     assert count_fixes([], {}).recall is None
+    assert count_fixes([], {}).nees is None
