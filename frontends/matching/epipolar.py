@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from frontends.matching.chance import agreement, line_chance
 from frontends.matching.homography import check_points
+from frontends.matching.neighbours import among_neighbours
 from frontends.measurements import Verdict
 
 FloatArray = NDArray[np.float64]
@@ -27,7 +28,7 @@ class EpipolarGeometry:
     matrix
         (3, 3), ``x2^T F x1 = 0`` in homogeneous pixels; zero when refused.
     inlier
-        (M,) which matches agree.
+        (M,) which matches lie on their epipolar lines, among the same neighbours.
     error_px
         Median distance of the inliers from their epipolar lines, px; NaN when refused.
     verdict, reason
@@ -47,7 +48,8 @@ def find_fundamental(
     """Fundamental matrix of matched points by MAGSAC++ (OpenCV's USAC).
 
     A wrong match agrees with an epipolar line far more easily than with a point: many more
-    inliers are needed than for a homography.
+    inliers are needed than for a homography, and each must lie among the same neighbours in
+    both images.
 
     Parameters
     ----------
@@ -78,6 +80,7 @@ def find_fundamental(
     matrix = np.asarray(found, dtype=np.float64)
     error = epipolar_distance(matrix, first_xy, second_xy)
     inlier = error <= threshold_px
+    inlier[inlier] = among_neighbours(first_xy[inlier], second_xy[inlier])
     alpha = max(line_chance(xy, threshold_px) for xy in (first_xy, second_xy))
     weighed = agreement(first_xy, second_xy, inlier, _SAMPLE, alpha)
     if weighed.reason:

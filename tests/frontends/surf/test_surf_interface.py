@@ -176,3 +176,25 @@ def test_cold_compile_announces_itself_once(tmp_path: object) -> None:
     assert len(lines[0]) == 1
     assert "lunar_fg.surf compiling" in lines[0][0]
     assert lines[1] == []
+
+
+@pytest.mark.parametrize(("chosen", "expected"), [(None, "4"), ("20", "20")])
+def test_blas_threads_sleep_unless_the_user_says_otherwise(
+    chosen: str | None, expected: str
+) -> None:
+    """Set before NumPy loads its BLAS, else it would come too late."""
+    code = (
+        "import sys, os, importlib.abc\n"
+        "class Watch(importlib.abc.MetaPathFinder):\n"
+        "    def find_spec(self, name, path, target=None):\n"
+        "        if name == 'numpy':\n"
+        "            print(os.environ.get('OPENBLAS_THREAD_TIMEOUT'))\n"
+        "sys.meta_path.insert(0, Watch())\n"
+        "import frontends\n"
+    )
+    environment = {k: v for k, v in os.environ.items() if k != "OPENBLAS_THREAD_TIMEOUT"}
+    if chosen is not None:
+        environment["OPENBLAS_THREAD_TIMEOUT"] = chosen
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == [expected]

@@ -55,7 +55,8 @@ def test_graf_is_at_least_opencvs(shared_data: Path, quality: ModuleType) -> Non
     theirs = np.array(quality.graf_table(shared_data, quality.reference("oriented")))
     assert ours[:, 1].sum() > 1.1 * theirs[:, 1].sum()  # correct matches
     assert ours[:, 2].mean() > 1.05 * theirs[:, 2].mean()  # matching score
-    assert ours[:, 0].mean() > 0.95 * theirs[:, 0].mean()  # repeatability
+    assert ours[:, 0].mean() > 0.95 * theirs[:, 0].mean()  # repeatability, mostly by chance
+    assert ours[:, 3].mean() > theirs[:, 3].mean()  # repeatability by overlap
 
 
 def test_stereo_is_at_least_opencvs(shared_data: Path, quality: ModuleType) -> None:
