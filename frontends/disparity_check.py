@@ -1,7 +1,7 @@
 """A disparity error of the rectified pair, found from the motion between its frames.
 
 A single pair cannot tell a disparity error from depth. Motion can: points triangulated
-with wrong disparities do not move rigidly. The three coefficients of the disparity field
+with wrong disparities do not move rigidly. The coefficients of the disparity field
 (`frontends.rectification`) are unknowns of the two-view problem beside the motion; the
 motion is eliminated and the information of many frame pairs added up.
 """
@@ -62,9 +62,9 @@ class DisparityFinding:
     Attributes
     ----------
     field_px
-        (3,) coefficients for `RectificationError.disparity_px`.
+        (5,) coefficients for `RectificationError.disparity_px`.
     border_px, border_sigma_px
-        (3,) the same terms, in px at the image border, and their 1-sigma with the
+        (5,) the same terms, in px at the image border, and their 1-sigma with the
         matching bias in it.
     chance
         Probability that a pair without any error shows as much.
@@ -82,7 +82,7 @@ class DisparityFinding:
     pairs: int
 
     def __str__(self) -> str:
-        names = ("constant", "x^2 at the side", "y^2 at the top")
+        names = ("constant", "x", "x^2", "y^2", "x r^2 at the border")
         values = zip(names, self.border_px, self.border_sigma_px, strict=True)
         parts = [f"{name} {value:+.2f} +- {sigma:.2f} px" for name, value, sigma in values]
         return f"disparity error seen in the motion of {self.pairs} frame pairs: " + ", ".join(
@@ -149,7 +149,7 @@ class DisparityCheck:
     def finding(self) -> DisparityFinding | None:
         """Judge what has come so far; None without any usable pair.
 
-        The three terms are correlated, so they are judged and applied together: dropping
+        The terms are correlated, so they are judged and applied together: dropping
         one would push its share into the others.
         """
         if not self._pairs:
@@ -173,7 +173,7 @@ class DisparityCheck:
         )
 
     def _border_scale(self) -> FloatArray:
-        """Largest value of each term in the image, (3,)."""
+        """Largest value of each term in the image, (5,)."""
         camera = self.camera
         side = np.array([0.0, camera.width - 1.0]), np.array([0.0, camera.height - 1.0])
         return np.asarray(disparity_basis(camera, *side).max(axis=0))

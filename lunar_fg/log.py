@@ -38,7 +38,7 @@ from lunar_fg.log_rows import (
 )
 from lunar_fg.record import FrameRecord
 
-SCHEMA_VERSION = 9
+SCHEMA_VERSION = 10
 
 
 class TraverseLog:

@@ -17,7 +17,7 @@ from lunar_fg.self_calibration import SelfCalibration
 
 MOUNT = rover_T_camera()
 STEP = se3_exp([0.0, 0.012, 0.0, 0.0, 0.0, 0.12])
-FIELD = np.array([1.0, 0.0, 0.0])
+FIELD = np.array([1.0, 0.0, 0.0, 0.0, 0.0])
 
 
 def keyframes(error=FIELD, count=10, seed=0, gap=()):
@@ -62,7 +62,7 @@ def test_a_short_run_is_judged_at_its_end():
 
 def test_nothing_to_find():
     held = calibration()
-    assert not any(held.watch(keyframe) for keyframe in keyframes(np.zeros(3)))
+    assert not any(held.watch(keyframe) for keyframe in keyframes(np.zeros(5)))
     assert held.finding is not None
     assert not held.finding.significant
     assert not held.conclude()
