@@ -1,7 +1,7 @@
 """A disparity error of the rectified pair, found from the motion between its frames.
 
 A single pair cannot tell a disparity error from depth. Motion can: points triangulated
-with wrong disparities do not move rigidly. The coefficients of the disparity field
+with wrong disparities do not move rigidly. The three coefficients of the disparity field
 (`frontends.rectification`) are unknowns of the two-view problem beside the motion; the
 motion is eliminated and the information of many frame pairs added up.
 """
@@ -62,9 +62,9 @@ class DisparityFinding:
     Attributes
     ----------
     field_px
-        (5,) coefficients for `RectificationError.disparity_px`.
+        (3,) coefficients for `RectificationError.disparity_px`.
     border_px, border_sigma_px
-        (5,) the same terms, in px at the image border, and their 1-sigma with the
+        (3,) the same terms, in px at the image border, and their 1-sigma with the
         matching bias in it.
     chance
         Probability that a pair without any error shows as much.
@@ -81,8 +81,18 @@ class DisparityFinding:
     significant: bool
     pairs: int
 
+    def refined(self, later: DisparityFinding) -> DisparityFinding:
+        """Return this finding with what a later look, at disparities corrected by it, adds."""
+        return replace(
+            later,
+            field_px=self.field_px + later.field_px,
+            border_px=self.border_px + later.border_px,
+            chance=self.chance,
+            significant=self.significant,
+        )
+
     def __str__(self) -> str:
-        names = ("constant", "x", "x^2", "y^2", "x r^2 at the border")
+        names = ("constant", "x^2 at the side", "y^2 at the top")
         values = zip(names, self.border_px, self.border_sigma_px, strict=True)
         parts = [f"{name} {value:+.2f} +- {sigma:.2f} px" for name, value, sigma in values]
         return f"disparity error seen in the motion of {self.pairs} frame pairs: " + ", ".join(
@@ -101,6 +111,9 @@ class DisparityCheck:
         Settings.
     max_depth_sigma
         Useful range, see `frontends.stereo.StereoConfig`; its default by default.
+    expected_px
+        (3,) 1-sigma of the terms at the image border, as expected beforehand; None where nothing
+        is known.
     """
 
     #: A pair of frames counts when its landmarks moved by this much in the image, px.
@@ -118,8 +131,12 @@ class DisparityCheck:
         camera: StereoCamera,
         config: DisparityCheckConfig | None = None,
         max_depth_sigma: float | None = None,
+        expected_px: FloatArray | None = None,
     ) -> None:
         self.camera = camera
+        self._prior = np.zeros((DISPARITY_TERMS, DISPARITY_TERMS))
+        if expected_px is not None:
+            self._prior = np.diag((self._border_scale() / expected_px) ** 2)
         self.max_depth_sigma = max_depth_sigma or StereoConfig().max_depth_sigma
         self.config = config or DisparityCheckConfig()
         self._frames: deque[StereoObservations] = deque(maxlen=self._LONGEST_GAP + 1)
@@ -128,7 +145,12 @@ class DisparityCheck:
     @property
     def ready(self) -> bool:
         """Whether enough moving frames came for a finding."""
-        return len(self._pairs) >= self.config.frames
+        return self.pairs >= self.config.frames
+
+    @property
+    def pairs(self) -> int:
+        """Pairs of frames with enough motion so far."""
+        return len(self._pairs)
 
     def add(self, observations: StereoObservations) -> None:
         """Take in the next frame, with tracked ids and uncorrected disparities."""
@@ -149,7 +171,7 @@ class DisparityCheck:
     def finding(self) -> DisparityFinding | None:
         """Judge what has come so far; None without any usable pair.
 
-        The terms are correlated, so they are judged and applied together: dropping
+        The three terms are correlated, so they are judged and applied together: dropping
         one would push its share into the others.
         """
         if not self._pairs:
@@ -173,7 +195,7 @@ class DisparityCheck:
         )
 
     def _border_scale(self) -> FloatArray:
-        """Largest value of each term in the image, (5,)."""
+        """Largest value of each term in the image, (3,)."""
         camera = self.camera
         side = np.array([0.0, camera.width - 1.0]), np.array([0.0, camera.height - 1.0])
         return np.asarray(disparity_basis(camera, *side).max(axis=0))
@@ -185,8 +207,8 @@ class DisparityCheck:
         motions: list[FloatArray | None] = [None] * len(self._pairs)
         covariance: FloatArray = np.zeros((DISPARITY_TERMS, DISPARITY_TERMS))
         for _ in range(5):
-            information = np.zeros((DISPARITY_TERMS, DISPARITY_TERMS))
-            gradient = np.zeros(DISPARITY_TERMS)
+            information = self._prior.copy()
+            gradient = -self._prior @ field
             ratio: list[float] = []
             for k, pair in enumerate(self._pairs):
                 problem, points_a, points_b = self._problem(*pair, field)

@@ -6,9 +6,8 @@ alone. Public and flight sequences miss both by fractions of a pixel to several 
 
 * vertical: ``v_left - v_right = a0 + a1 x + a2 y + a3 x y + a4 x^2 + a5 y^2``, seen in any
   single pair;
-* disparity: ``D = D_true + d0 + d1 x + d2 x^2 + d3 y^2 + d4 x r^2``, seen in the motion between
-  pairs only (`frontends.disparity_check`): principal points that differ make d0, focal lengths
-  d1, a turn about the vertical axis d0 and d2, lenses d2 and d3 (decentring) or d4 (radial);
+* disparity: ``D = D_true + d0 + d1 x^2 + d2 y^2``, seen in the motion between pairs only
+  (`frontends.disparity_check`);
 
 with x, y the image position in the units of the focal length, from the principal point.
 """
@@ -26,7 +25,7 @@ from frontends.measurements import StereoObservations
 FloatArray = NDArray[np.float64]
 
 VERTICAL_TERMS = 6
-DISPARITY_TERMS = 5
+DISPARITY_TERMS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +37,7 @@ class RectificationError:
     vertical_px
         (6,) coefficients a0..a5.
     disparity_px
-        (5,) coefficients d0..d4; zero where nothing significant was found.
+        (3,) coefficients d0..d2; zero where nothing significant was found.
     """
 
     vertical_px: FloatArray = field(default_factory=lambda: np.zeros(VERTICAL_TERMS))
@@ -82,9 +81,9 @@ def vertical_basis(camera: StereoCamera, u: FloatArray, v: FloatArray) -> FloatA
 
 
 def disparity_basis(camera: StereoCamera, u: FloatArray, v: FloatArray) -> FloatArray:
-    """Terms 1, x, x^2, y^2, x r^2 of the disparity field, (N, 5)."""
+    """Terms 1, x^2, y^2 of the disparity field, (N, 3)."""
     x, y = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
-    return np.stack([np.ones_like(x), x, x**2, y**2, x * (x**2 + y**2)], axis=-1)
+    return np.stack([np.ones_like(x), x**2, y**2], axis=-1)
 
 
 def observe(

@@ -37,6 +37,8 @@ class Checkpoint:
         Digests of the last left and right image.
     watching
         Whether the disparity check still collects frames.
+    watched_from
+        The first keyframe that it looks at.
     finding
         What it found, once it has judged.
     corrected
@@ -51,6 +53,7 @@ class Checkpoint:
     vertical_measured: bool = False
     images: tuple[bytes, bytes] | None = None
     watching: bool = True
+    watched_from: int = 0
     finding: DisparityFinding | None = None
     corrected: bool = False
     alignment: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
@@ -59,6 +62,7 @@ class Checkpoint:
         """Pack it as a NumPy archive, bit for bit and without pickle."""
         arrays: dict[str, Any] = {
             "next_id": self.next_id,
+            "watched_from": self.watched_from,
             "vertical_px": self.rectification.vertical_px,
             "disparity_px": self.rectification.disparity_px,
             "alignment": self.alignment,
@@ -116,6 +120,7 @@ class Checkpoint:
             vertical_measured,
             images,
             watching,
+            int(arrays["watched_from"]),
             finding,
             corrected,
             arrays.get("alignment", np.zeros(0)),  # older logs have none

@@ -164,9 +164,10 @@ class Frontend:
         return UnusableFrame(frame.index, frame.stamp_s, reason, frame.odometry, frame.attitude)
 
     def adopt(self, disparity_px: FloatArray, keyframes: Sequence[Keyframe]) -> None:
-        """Correct disparities by this field from now on; go on from corrected keyframes."""
+        """Correct disparities by this field, too, from now on; go on from corrected keyframes."""
+        known = self.perception.rectification
         self.perception.rectification = replace(
-            self.perception.rectification, disparity_px=disparity_px
+            known, disparity_px=known.disparity_px + disparity_px
         )
         newest = keyframes[-1].observations
         if newest is None:

@@ -165,7 +165,7 @@ class Navigator:
         self.frames_lost = sum(estimate.lost for estimate in past.estimates)
         if not checkpoint.watching:
             self._calibration.concluded(checkpoint.finding)
-        elif [k for k in keyframes if self._calibration.watch(k)]:
+        elif self._calibration.resume(checkpoint.finding, checkpoint.watched_from, keyframes):
             last = self._recalibrate()
             self.frames_lost += last.lost
             past = self._journal.past() or past  # corrected
@@ -277,28 +277,28 @@ class Navigator:
         return replace(
             self._frontend.checkpoint(),
             watching=self._calibration.watching,
+            watched_from=self._calibration.watched_from,
             finding=self._calibration.finding,
             corrected=self._corrected,
         )
 
     def _recalibrate(self) -> Estimate:
         """Start again from the measurements so far, with the disparity error removed."""
-        finding = self._calibration.finding
-        assert finding is not None
-        keyframes = self._calibration.corrected(finding.field_px, self._frontend.positioning)
+        disparity_px = self._calibration.correction_px
+        keyframes = self._calibration.corrected(disparity_px, self._frontend.positioning)
         smoother = self._new_smoother()
         fed = feed(smoother, keyframes, self._smoother.ledger)
         entries = [
             (keyframe, estimate) for keyframe, (estimate, _) in zip(keyframes, fed, strict=True)
         ]
-        self._frontend.adopt(finding.field_px, keyframes)
-        self._calibration.forget()
+        self._frontend.adopt(disparity_px, keyframes)
+        self._calibration.adopted(keyframes)
         places: list[Place] = []
         if self.loops is not None:
             places = self.loops.corrected(keyframes)
             self.loops.restore(places, (e for _, e in entries), smoother.ledger)
         if self.localisation is not None:
-            self.localisation.correct(RectificationError(disparity_px=finding.field_px))
+            self.localisation.correct(RectificationError(disparity_px=disparity_px))
         self._corrected = True
         self._journal.rewrite(entries, self._checkpoint(), smoother.ledger, places)
         self._smoother = smoother

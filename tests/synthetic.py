@@ -258,7 +258,7 @@ class PointCloud:
         rng: np.random.Generator,
         disparity_error: FloatArray | None = None,
     ):
-        """Noisy observations; the row in `points` is the id. `disparity_error`: (5,) field."""
+        """Noisy observations; the row in `points` is the id. `disparity_error`: (3,) field."""
         from frontends.rectification import disparity_basis, observe
 
         local = transform_points(inverse(map_T_camera), self.points)

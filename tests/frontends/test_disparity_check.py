@@ -12,10 +12,7 @@ from frontends.rectification import observe
 STEP = se3_exp([0.0, 0.012, 0.0, 0.0, 0.0, 0.12])
 
 
-NONE = (0.0, 0.0, 0.0, 0.0, 0.0)
-
-
-def check_of(seed, error=NONE, frames=14, step=STEP, config=None, **cloud):
+def check_of(seed, error=(0.0, 0.0, 0.0), frames=14, step=STEP, config=None, **cloud):
     rng = np.random.default_rng((6, seed))
     points = PointCloud.ahead(seed, count=220, **cloud)
     check = DisparityCheck(CAMERA, config or DisparityCheckConfig(frames=frames - 1))
@@ -28,15 +25,7 @@ def check_of(seed, error=NONE, frames=14, step=STEP, config=None, **cloud):
 
 @pytest.mark.parametrize(
     "error",
-    [
-        (0.3, 0.0, 0.0, 0.0, 0.0),
-        (1.0, 0.0, 0.0, 0.0, 0.0),
-        (-1.0, 0.0, 0.0, 0.0, 0.0),
-        (3.0, 0.0, 0.0, 0.0, 0.0),
-        (0.5, 0.0, 2.0, 0.0, 0.0),
-        (-0.5, 1.0, 0.0, 1.0, 0.0),
-        (0.5, 0.0, 0.0, 0.0, 2.0),
-    ],
+    [(0.3, 0.0, 0.0), (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (3.0, 0.0, 0.0), (0.5, 2.0, 0.0)],
 )
 @pytest.mark.parametrize("seed", range(3))
 def test_the_injected_field_is_found_within_its_sigmas(error, seed):
@@ -61,7 +50,7 @@ def test_a_clean_pair_is_left_alone():
 
 
 def test_standing_still_tells_nothing():
-    check = check_of(0, (2.0, 0.0, 0.0, 0.0, 0.0), step=np.eye(4))
+    check = check_of(0, (2.0, 0.0, 0.0), step=np.eye(4))
     assert check.finding() is None
     assert not check.ready
 
@@ -81,14 +70,14 @@ def test_ready_after_the_frames_asked_for():
 
 
 def test_the_finding_says_what_it_found():
-    text = str(check_of(1, (1.0, 0.0, 0.0, 0.0, 0.0), frames=8).finding())
+    text = str(check_of(1, (1.0, 0.0, 0.0), frames=8).finding())
     assert "frame pairs" in text
     assert "constant +" in text
     assert "\n" not in text
 
 
 def test_it_is_a_function_of_its_input():
-    first, second = (check_of(4, (0.5, 0.0, 0.0, 0.0, 0.0), frames=6).finding() for _ in range(2))
+    first, second = (check_of(4, (0.5, 0.0, 0.0), frames=6).finding() for _ in range(2))
     assert first.field_px.tobytes() == second.field_px.tobytes()
 
 
@@ -99,7 +88,7 @@ def test_one_landmark_in_ten_wrong_does_not_matter(seed):
     check = DisparityCheck(CAMERA)
     map_T_camera = np.eye(4)
     for _ in range(14):
-        seen = points.observe(map_T_camera, rng, np.array([1.0, 0.0, 0.0, 0.0, 0.0]))
+        seen = points.observe(map_T_camera, rng, np.array([1.0, 0.0, 0.0]))
         wrong = rng.random(len(seen)) < 0.1
         u = np.where(wrong, seen.u_left + rng.uniform(-15, 15, len(seen)), seen.u_left)
         check.add(observe(CAMERA, seen.landmark_id, u, seen.v, seen.disparity_px, seen.sigma_px,
@@ -125,7 +114,7 @@ def test_the_covariance_before_the_floor_is_honest():
         solution = check_of(seed, frames=10)._solve()
         assert solution is not None
         field, covariance = solution
-        squared.append(field @ np.linalg.solve(covariance, field) / len(field))
+        squared.append(field @ np.linalg.solve(covariance, field) / 3.0)
     assert 0.5 < np.mean(squared) < 1.7
 
 
@@ -155,7 +144,7 @@ def test_landmarks_that_do_not_tell_the_motion_tell_nothing():
 @pytest.mark.parametrize("degenerate", [False, True])
 def test_a_pair_that_tells_nothing_does_not_spoil_the_others(degenerate):
     """Thirty landmarks at infinity, as after a turn towards the sky, among good pairs."""
-    check = check_of(2, (1.0, 0.0, 0.0, 0.0, 0.0), frames=10)
+    check = check_of(2, (1.0, 0.0, 0.0), frames=10)
     if degenerate:
         n = 40
         place, sigma = np.full(n, 100.0), np.full(n, 0.1)

@@ -17,7 +17,7 @@ from lunar_fg.self_calibration import SelfCalibration
 
 MOUNT = rover_T_camera()
 STEP = se3_exp([0.0, 0.012, 0.0, 0.0, 0.0, 0.12])
-FIELD = np.array([1.0, 0.0, 0.0, 0.0, 0.0])
+FIELD = np.array([1.0, 0.0, 0.0])
 
 
 def keyframes(error=FIELD, count=10, seed=0, gap=()):
@@ -45,12 +45,57 @@ def calibration(frames=6, mode="apply"):
     return SelfCalibration(CAMERA, DisparityCheckConfig(mode=mode, frames=frames), 0.25)
 
 
-def test_applied_once_when_enough_came():
+def test_a_small_constant_is_applied_once_when_enough_came():
     held = calibration()
-    told = [held.watch(keyframe) for keyframe in keyframes()]
+    told = []
+    for keyframe in keyframes(np.array([0.1, 1.5, 0.0])):
+        told.append(held.watch(keyframe))
+        if told[-1]:
+            held.adopted(held.corrected(held.correction_px, RelativePositioning(CAMERA)))
     assert told == [k == 6 for k in range(10)]
-    assert held.finding.field_px[0] == pytest.approx(1.0, abs=0.3)
+    assert held.finding.field_px[1] == pytest.approx(1.5, abs=0.4)
+    assert not held.watching
     assert not held.conclude()
+
+
+@pytest.mark.parametrize("at_the_end", [False, True])
+def test_a_large_error_is_looked_at_once_more(at_the_end):
+    """The tracks of the first look hid a part of it."""
+    held = calibration()
+    first = keyframes()[:7]
+    assert [held.watch(keyframe) for keyframe in first] == [False] * 6 + [True]
+    found = held.finding.field_px[0]
+    held.adopted(held.corrected(held.correction_px, RelativePositioning(CAMERA)))
+    assert held.watching
+    assert held.watched_from == 7
+    left = keyframes(np.array([0.3, 0.0, 0.0]), seed=1, count=5 if at_the_end else 7)
+    told = [held.watch(keyframe) for keyframe in left]
+    if at_the_end:
+        assert not any(told)
+        assert held.conclude()
+    else:
+        assert told == [False] * 6 + [True]
+    assert held.correction_px[0] == pytest.approx(0.3, abs=0.1)
+    assert held.finding.field_px[0] == pytest.approx(found + held.correction_px[0])
+    assert held.finding.significant
+    held.adopted(held.corrected(held.correction_px, RelativePositioning(CAMERA)))
+    assert not held.watching
+    assert not held.conclude()
+
+
+def test_a_second_look_goes_on_where_it_was():
+    held, later = calibration(), calibration()
+    for keyframe in keyframes()[:7]:
+        held.watch(keyframe)
+    first = held.finding
+    corrected = held.corrected(held.correction_px, RelativePositioning(CAMERA))
+    held.adopted(corrected)
+    rest = keyframes(np.array([0.3, 0.0, 0.0]), seed=1, count=7)
+    assert not any(held.watch(keyframe) for keyframe in rest[:4])
+    assert not later.resume(first, held.watched_from, [*corrected, *rest[:4]])
+    assert [held.watch(k) for k in rest[4:]] == [later.watch(k) for k in rest[4:]]
+    assert held.correction_px.tobytes() == later.correction_px.tobytes()
+    assert held.finding.field_px.tobytes() == later.finding.field_px.tobytes()
 
 
 def test_a_short_run_is_judged_at_its_end():
@@ -62,7 +107,7 @@ def test_a_short_run_is_judged_at_its_end():
 
 def test_nothing_to_find():
     held = calibration()
-    assert not any(held.watch(keyframe) for keyframe in keyframes(np.zeros(5)))
+    assert not any(held.watch(keyframe) for keyframe in keyframes(np.zeros(3)))
     assert held.finding is not None
     assert not held.finding.significant
     assert not held.conclude()
@@ -262,7 +307,10 @@ def test_keyframes_are_let_go_once_used():
         held.watch(keyframe)
     assert len(held.corrected(FIELD, RelativePositioning(CAMERA))) == 7
     assert len(held.corrected(FIELD, RelativePositioning(CAMERA))) == 7  # until they are in use
-    held.forget()
+    held.adopted(keyframes()[:7])  # for a second look
+    while held.watching:
+        held.conclude()
+    held.adopted(keyframes()[:7])
     assert held.corrected(FIELD, RelativePositioning(CAMERA)) == []
 
 

@@ -59,7 +59,7 @@ def test_errors_of_the_rectification_are_removed_before_and_after():
     raw = dense.measure(scene.frame(mount), vertical)
     assert abs(np.median(raw.points[:, 2])) > 0.05
     fixed = raw.corrected(
-        scene.camera, mount, RectificationError(disparity_px=np.array([1.5, 0.0, 0.0, 0.0, 0.0]))
+        scene.camera, mount, RectificationError(disparity_px=np.array([1.5, 0.0, 0.0]))
     )
     assert abs(np.median(fixed.points[:, 2])) < 0.02
 
