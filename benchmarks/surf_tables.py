@@ -108,8 +108,7 @@ def _after_ransac(found: Mapping[str, Mapping[str, int]]) -> str:
         f"more than 3 px, {_percent(along, pairs['inliers'])}. A fundamental matrix cannot see "
         "an error along its lines; that its neighbours are others there tells most of them. "
         "Stereo perception searches the epipolar band between the nearest depth and infinity "
-        "instead, and the motion between frames is a second check."
-        + rendered
+        "instead, and the motion between frames is a second check." + rendered
     )
 
 

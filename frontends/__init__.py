@@ -6,6 +6,6 @@ import os
 # cycles before it sleeps: a fifth of a short program's CPU time. Not where the user has chosen.
 os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")
 
-from frontends.surf import SURF, Keypoints  # noqa: E402
+from frontends.surf import SURF, Keypoints
 
 __all__ = ["SURF", "Keypoints"]

@@ -1,10 +1,10 @@
 """Matches that are neighbours in one image are neighbours in the other.
 
-An epipolar line cannot tell where on it a match belongs, but its neighbours can. A wrong match lands
-among matches that have nothing to do with those around it in the first image; those that both of
-its neighbourhoods share by chance are few (hypergeometric). Neighbours are the ``sqrt(M)`` nearest
-matches, so that the test needs no distance and holds for any turn and scale; counting common
-neighbours is the idea of grid-based motion statistics (Bian et al., CVPR 2017).
+An epipolar line cannot tell where on it a match belongs, but its neighbours can. A wrong match
+lands among matches that have nothing to do with those around it in the first image; those that both
+of its neighbourhoods share by chance are few (hypergeometric). Neighbours are the ``sqrt(M)``
+nearest matches, so that the test needs no distance and holds for any turn and scale; counting
+common neighbours is the idea of grid-based motion statistics (Bian et al., CVPR 2017).
 """
 
 from __future__ import annotations
@@ -39,11 +39,14 @@ def among_neighbours(first_xy: FloatArray, second_xy: FloatArray) -> NDArray[np.
     if count < _FEWEST:
         return np.ones(count, dtype=np.bool_)
     around = round(np.sqrt(count))
-    near_first, near_second = (
-        np.sort(cKDTree(xy).query(xy, around + 1)[1][:, 1:], axis=1)
-        for xy in (first_xy, second_xy)
-    )
+    near_first, near_second = (_nearest(xy, around) for xy in (first_xy, second_xy))
     # each match's neighbours as numbers of their own, so that one search finds all common ones
     own = np.arange(count)[:, None] * count
     common = np.isin(near_first + own, near_second + own).sum(axis=1)
     return np.asarray(common > hypergeom.isf(_CHANCE, count - 1, around, around))
+
+
+def _nearest(xy: FloatArray, around: int) -> NDArray[np.intp]:
+    """Numbers of the nearest other points (M, around)."""
+    _, found = cKDTree(xy).query(xy, around + 1)
+    return np.asarray(found)[:, 1:]
