@@ -44,7 +44,7 @@ class Checkpoint:
     corrected
         Whether the finding was applied.
     alignment
-        How the images of the pair have moved against each other, see `lunar_fg.alignment`.
+        How the images of the pair have moved against each other, see `lunar_fg.stereo_alignment`.
     """
 
     memory: LandmarkMemory | None = None

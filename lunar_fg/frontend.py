@@ -15,7 +15,6 @@ from frontends.relative import MotionPrediction, RelativePositioning
 from frontends.stereo import StereoFeatures, StereoPerception
 from frontends.tracking import LandmarkTracker, Reach, in_view
 from frontends.tracks import Tracks
-from lunar_fg.alignment import Alignment
 from lunar_fg.checkpoint import Checkpoint
 from lunar_fg.config import Config
 from lunar_fg.dead_reckoning import DeadReckoning
@@ -32,6 +31,7 @@ from lunar_fg.plausibility import (
 )
 from lunar_fg.record import FrameRecord, FrameReport, Sensors
 from lunar_fg.standstill import zero_motion
+from lunar_fg.stereo_alignment import StereoAlignment
 from lunar_fg.stopwatch import Stopwatch
 
 FloatArray = NDArray[np.float64]
@@ -76,7 +76,7 @@ class Frontend:
         self._tracker = LandmarkTracker(camera, config.tracking)
         self._unusable: dict[str, Episodes] = {}
         self._dead_camera = DeadCamera()
-        self._alignment = Alignment()
+        self._alignment = StereoAlignment()
         self._richness = Richness()
         self._rover_T_camera = rover_T_camera
         self._start = start

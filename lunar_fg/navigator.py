@@ -14,7 +14,6 @@ from frontends.measurements import Estimate, StartPrior, StereoFrame, UnusableFr
 from frontends.orbital import OrbitalMap
 from frontends.rectification import RectificationError
 from frontends.revisit import Place
-from lunar_fg.alignment import NOTEWORTHY_OFFSET_PX
 from lunar_fg.blas import one_blas_thread
 from lunar_fg.checkpoint import Checkpoint
 from lunar_fg.config import Config
@@ -31,6 +30,7 @@ from lunar_fg.order import FrameOrder
 from lunar_fg.plausibility import was_carried
 from lunar_fg.record import FrameReport, dead_reckoning_of
 from lunar_fg.self_calibration import SelfCalibration
+from lunar_fg.stereo_alignment import NOTEWORTHY_OFFSET_PX
 from lunar_fg.stopwatch import Stopwatch
 from lunar_fg.trajectory import Trajectory
 

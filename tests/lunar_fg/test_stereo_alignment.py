@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from lunar_fg.alignment import Alignment
 from lunar_fg.checkpoint import Checkpoint
+from lunar_fg.stereo_alignment import StereoAlignment
 
 
 def seen(offsets_px, alignment=None, first=0):
-    alignment = alignment or Alignment()
+    alignment = alignment or StereoAlignment()
     for frame, offset_px in enumerate(offsets_px, start=first):
         alignment.see(frame, offset_px)
     return alignment
@@ -28,12 +28,12 @@ def test_a_rig_that_bends_and_comes_back_is_told_of_with_the_most_it_bent():
 def test_a_checkpoint_keeps_what_was_seen():
     bent = seen([0.0, 0.0, 3.0, 4.0])
     kept = Checkpoint.from_bytes(Checkpoint(alignment=bent.state).to_bytes())
-    resumed = Alignment()
+    resumed = StereoAlignment()
     resumed.restore(kept.alignment)
     for alignment in (bent, resumed):
         seen([5.0, 0.0], alignment, first=4)
     assert resumed.warnings == bent.warnings
     assert "frames 2 to 4" in bent.warnings[0]
-    untouched = Alignment()
+    untouched = StereoAlignment()
     untouched.restore(Checkpoint().alignment)
     assert untouched.warnings == ()

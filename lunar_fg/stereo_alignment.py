@@ -24,7 +24,7 @@ class _Span:
         return f"frame {self.first}" if one else f"frames {self.first} to {self.last}"
 
 
-class Alignment:
+class StereoAlignment:
     """Notices where the images of a pair lie elsewhere vertically than when the run began.
 
     Perception measures the vertical offset, removes it and follows it as it changes
