@@ -14,7 +14,7 @@ import numpy as np
 from frontends.errors import EstimationError
 from frontends.measurements import FloatArray, IntArray
 from lunar_fg.graph import kernels
-from lunar_fg.graph.planar import Planar, composed
+from lunar_fg.graph.planar import Planar
 
 #: With a larger sigma, rad, a yaw is as good as not measured, and tells nothing of x and y.
 NO_YAW_SIGMA = 0.5
@@ -69,11 +69,6 @@ class Network:
     """
 
     def __init__(self, start: Planar, motions: Sequence[Planar], claims: Sequence[Claim]) -> None:
-        path = [start.xyyaw]
-        for motion in motions:
-            path.append(composed(path[-1], motion.xyyaw))
-        #: (n, 3) by the motions alone.
-        self.dead_reckoned: FloatArray = np.array(path)
         known = [start, *motions]
         places = [*known, *(claim.place for claim in claims)]
         bases = [-1 if claim.base is None else claim.base for claim in claims]
@@ -81,8 +76,12 @@ class Network:
         station = np.array(
             [*range(len(known)), *(claim.station for claim in claims)], dtype=np.int64
         )
-        value: FloatArray = np.array([place.xyyaw for place in places])
-        covariance: FloatArray = np.array([place.covariance for place in places])
+        #: Of the start, the motions and the claims as they are given, (m, 3) and (m, 3, 3).
+        self.measured: FloatArray = np.array([place.xyyaw for place in places])
+        self.noise: FloatArray = np.array([place.covariance for place in places])
+        value, covariance = self.measured, self.noise
+        #: (n, 3) by the motions alone.
+        self.dead_reckoned: FloatArray = kernels.dead_reckoned(value[: len(known)])
         # Motions into the axes at their end.
         back = np.tile(np.eye(3), (len(base), 1, 1))
         moves, yaw = base >= 0, value[base >= 0, 2]

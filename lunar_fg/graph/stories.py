@@ -119,7 +119,10 @@ def _agreement(refused: Refused, joint: FloatArray) -> FloatArray:
 def _largest(agree: NDArray[np.bool_], group: IntArray) -> IntArray:
     """Members of the largest set that agrees with one of them, one a group."""
     best: IntArray = np.empty(0, dtype=np.int64)
-    for seed in np.flatnonzero(agree.any(axis=1)):
+    count = agree.sum(axis=1)
+    for seed in np.flatnonzero(count):
+        if count[seed] < len(best):
+            continue
         members = np.flatnonzero(agree[seed])
         members = members[members != seed]
         members = members[group[members] != group[seed]]

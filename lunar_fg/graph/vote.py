@@ -46,10 +46,10 @@ class _Solved:
     #: Chi-square of what is known and of what is believed; `cost` has the barriers too.
     fit: float
     cost: float
-    #: Of each claim from what all others say, (C, 3) and (C, 3, 3); squared, by group.
+    #: Of each claim from what all others say, (C, 3), (C, 3, 3), and squared (C,).
     off: FloatArray
     spread: FloatArray
-    distance: tuple[FloatArray, ...]
+    distance: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +88,11 @@ class Vote:
         self._group: IntArray = np.repeat(np.arange(len(sizes)), sizes)
         #: Number of each group's first claim; one more at the end.
         self._first: IntArray = np.concatenate([[0], np.cumsum(sizes)])
+        #: Groups that are voted on.
+        self._open: IntArray = np.array(
+            [g for g, group in enumerate(self._groups) if group.forced is None and group.claims],
+            dtype=np.int64,
+        )
         self._seen: dict[tuple[Choice, ...], _Found] = {}
 
     def decide(self, incumbent: Sequence[Choice]) -> Outcome:
@@ -104,7 +109,9 @@ class Vote:
                 best = _cheaper(best, self._found(self._turned(before, story)))
             if best is before:
                 break
-        return Outcome(best.chosen, best.solved.distance, best.cost)
+        distance = best.solved.distance
+        split = tuple(distance[a:b] for a, b in pairwise(self._first.tolist()))
+        return Outcome(best.chosen, split, best.cost)
 
     def _turned(self, found: _Found, story: IntArray) -> list[Choice]:
         """Believe a refused story, and make one of what contradicts it."""
@@ -113,9 +120,8 @@ class Vote:
             g = int(self._group[claim])
             chosen[g] = self._groups[g].allowed(claim - int(self._first[g]))
         turned = self._found(chosen)
-        distance = squared(turned.solved.off, turned.solved.spread)
         against = self._claims(found.chosen)
-        against = against[distance[against] > self._barrier]
+        against = against[turned.solved.distance[against] > self._barrier]
         return self._divided(turned, against) if len(against) else chosen
 
     def _divided(self, found: _Found, story: IntArray) -> list[Choice]:
@@ -160,11 +166,9 @@ class Vote:
             if group.claims and all(claim.base is None for claim in group.claims)
         ]
         order.sort(key=lambda g: self._groups[g].claims[0].station)
-        claims = (claim.place for group in self._groups for claim in group.claims)
-        places = [self._ballot.start, *self._ballot.motions, *claims]
         taken = kernels.gated(
-            np.array([place.xyyaw for place in places]),
-            np.array([place.covariance for place in places]),
+            self._network.measured,
+            self._network.noise,
             len(self._ballot.motions),
             np.array(order, dtype=np.int64),
             self._first,
@@ -208,12 +212,12 @@ class Vote:
         """Change one verdict at a time while that lowers the cost."""
         solved = self._solve(chosen, self._network.dead_reckoned)
         for _ in range(_MOST_CHANGES_EACH * max(len(chosen), 1)):
-            gains = [self._gain(g, chosen[g], solved.distance[g]) for g in range(len(chosen))]
-            best = int(np.argmax([gain for gain, _ in gains])) if gains else -1
-            if best < 0 or gains[best][0] <= 1e-6:
+            gain, other = self._gains(chosen, solved.distance)
+            best = int(np.argmax(gain)) if len(gain) else -1
+            if best < 0 or gain[best] <= 1e-6:
                 break
             changed = list(chosen)
-            changed[best] = gains[best][1]
+            changed[best] = None if other[best] < 0 else int(other[best])
             after = self._solve(changed, solved.xyyaw)
             if after.cost >= solved.cost:
                 break
@@ -245,21 +249,32 @@ class Vote:
         more, told = stories(refused, solved.covariance, self._barrier, int((~out).sum()))
         return _Found(tuple(chosen), solved, cost + more, tuple(rows[s] for s in told))
 
-    def _gain(self, group: int, chosen: Choice, distance: FloatArray) -> tuple[float, Choice]:
-        """What the best other verdict on a group would save, and which that is."""
-        if self._groups[group].forced is not None or not len(distance):
-            return 0.0, chosen
-        now = self._barrier if chosen is None else distance[chosen]
-        nearest = int(np.argmin(distance))
-        if distance[nearest] < self._barrier:
-            return float(now - distance[nearest]), nearest
-        return float(now - self._barrier), None
+    def _gains(
+        self, chosen: Sequence[Choice], distance: FloatArray
+    ) -> tuple[FloatArray, IntArray]:
+        """What the best other verdict on each group would save, and which: -1 for none of it."""
+        barrier, some = self._barrier, self._open
+        gain, other = np.zeros(len(chosen)), np.full(len(chosen), -1, dtype=np.int64)
+        if not len(some):
+            return gain, other
+        now = np.append(distance, barrier)[self._believed(chosen)[some]]
+        least = np.full(len(chosen), np.inf)
+        np.minimum.at(least, self._group, distance)
+        nearest = np.flatnonzero(distance == least[self._group])[::-1]
+        other[self._group[nearest]] = nearest - self._first[self._group[nearest]]
+        other[least >= barrier] = -1
+        gain[some] = now - np.minimum(least[some], barrier)
+        return gain, other
+
+    def _believed(self, chosen: Sequence[Choice]) -> IntArray:
+        """Number of the believed claim of each group, -1 for none."""
+        choice = np.array([-1 if c is None else c for c in chosen], dtype=np.int64)
+        return np.where(choice < 0, -1, self._first[:-1] + choice)
 
     def _claims(self, chosen: Sequence[Choice]) -> IntArray:
         """Numbers of the believed claims."""
-        firsts = self._first[:-1].tolist()
-        believed = [f + c for f, c in zip(firsts, chosen, strict=True) if c is not None]
-        return np.array(believed, dtype=np.int64)
+        believed = self._believed(chosen)
+        return believed[believed >= 0]
 
     def _weights(self, chosen: Sequence[Choice]) -> FloatArray:
         """1 for each believed claim, 0 for all others, (C,)."""
@@ -271,20 +286,12 @@ class Vote:
         network, weight = self._network, self._weights(chosen)
         path = network.solve(weight, begin)
         covariance = network.path_covariance(weight, path.xyyaw)
-        believed = np.array(
-            [
-                -1 if c is None else int(f) + c
-                for f, c in zip(self._first[:-1], chosen, strict=True)
-            ],
-            dtype=np.int64,
-        )
+        believed = self._believed(chosen)
         off, spread = network.innovations(path.xyyaw, covariance, believed[self._group])
         out = sum(c is None for c in chosen)
         fit = path.chi_square
         cost = fit + self._barrier * out
-        distance = squared(off, spread)
-        split = tuple(distance[a:b] for a, b in pairwise(self._first))
-        return _Solved(path.xyyaw, covariance, fit, cost, off, spread, split)
+        return _Solved(path.xyyaw, covariance, fit, cost, off, spread, squared(off, spread))
 
 
 def _cheaper(best: _Found, other: _Found) -> _Found:

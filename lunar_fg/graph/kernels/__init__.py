@@ -11,6 +11,7 @@ from lunar_fg.graph.kernels.gate import distances
 from lunar_fg.graph.kernels.motions import add_motions, moved
 from lunar_fg.graph.kernels.network import (
     Terms,
+    dead_reckoned,
     network_covariance,
     network_terms,
     solve_network,
@@ -22,6 +23,7 @@ __all__ = [
     "LEAST_DEPTH_SHARE",
     "Terms",
     "add_motions",
+    "dead_reckoned",
     "distances",
     "gated",
     "inverse_positive",
@@ -55,6 +57,7 @@ def warm() -> None:
     distances(lens, pixels, noise, pixels, noise, none, one, hessian[None])
     place, here = np.zeros((1, 3)), none[:1]
     terms = Terms(here, here, place, noise[:1], np.ones(1))
+    dead_reckoned(place)
     solve_network(place, terms, 1)
     network_covariance(place, terms)
     network_terms(place, terms)

@@ -99,6 +99,18 @@ def _term(
 
 
 @kernel
+def dead_reckoned(values: FloatArray) -> FloatArray:
+    """Poses (n, 3) that the first one and the motions from each to the next lead to."""
+    poses = values.copy()
+    for n in range(1, len(values)):
+        cosine, sine = np.cos(poses[n - 1, 2]), np.sin(poses[n - 1, 2])
+        poses[n, 0] = poses[n - 1, 0] + cosine * values[n, 0] - sine * values[n, 1]
+        poses[n, 1] = poses[n - 1, 1] + sine * values[n, 0] + cosine * values[n, 1]
+        poses[n, 2] = poses[n - 1, 2] + values[n, 2]
+    return poses
+
+
+@kernel
 def network_terms(poses: FloatArray, terms: Terms) -> tuple[FloatArray, FloatArray]:
     """Errors of all terms (C, 3) and derivatives by station and base (C, 3, 6), not whitened."""
     off, jacobian = np.empty((len(terms.base), 3)), np.empty((len(terms.base), 3, 6))
@@ -192,17 +204,40 @@ def _factorise(hessian: FloatArray, first: IntArray) -> bool:
 
 
 @njit
-def _substitute(root: FloatArray, first: IntArray, vector: FloatArray, start: int) -> None:
-    """Solve with a root, in place; the vector is zero before `start`."""
-    for i in range(start, len(first)):
+def _substitute(root: FloatArray, first: IntArray, vector: FloatArray) -> None:
+    """Solve with a root, in place."""
+    for i in range(len(first)):
         value = vector[i]
-        for k in range(max(first[i], start), i):
+        for k in range(first[i], i):
             value -= root[i, k] * vector[k]
         vector[i] = value / root[i, i]
     for i in range(len(first) - 1, -1, -1):
         vector[i] /= root[i, i]
         for k in range(first[i], i):
             vector[k] -= root[i, k] * vector[i]
+
+
+@njit
+def _inverse(root: FloatArray, first: IntArray, out: FloatArray) -> None:
+    """Inverse of the matrix with this root; all columns at once, their lower triangle."""
+    n = len(first)
+    for i in range(n):
+        out[i, :i] = 0.0
+        out[i, i] = 1.0
+        for k in range(first[i], i):
+            for c in range(k + 1):
+                out[i, c] -= root[i, k] * out[k, c]
+        for c in range(i + 1):
+            out[i, c] /= root[i, i]
+    for i in range(n - 1, -1, -1):
+        for c in range(i + 1):
+            out[i, c] /= root[i, i]
+        for k in range(first[i], i):
+            for c in range(k + 1):
+                out[k, c] -= root[i, k] * out[i, c]
+    for i in range(n):
+        for c in range(i):
+            out[c, i] = out[i, c]
 
 
 @njit
@@ -245,7 +280,7 @@ def solve_network(poses: FloatArray, terms: Terms, most: int) -> tuple[bool, Flo
             return False, here, cost
         for i in range(3 * n):
             gradient[i] = -gradient[i]
-        _substitute(hessian, first, gradient, 0)
+        _substitute(hessian, first, gradient)
         _moved(here, gradient, there)
         new = _cost(there, terms)
         if new <= cost * (1.0 + 1e-12):
@@ -273,7 +308,5 @@ def network_covariance(poses: FloatArray, terms: Terms) -> tuple[bool, FloatArra
     result = np.zeros((3 * n, 3 * n))
     if not _factorise(hessian, first):
         return False, result
-    for row in range(3 * n):
-        result[row, row] = 1.0
-        _substitute(hessian, first, result[row], row)
+    _inverse(hessian, first, result)
     return True, result
