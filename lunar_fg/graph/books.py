@@ -20,10 +20,13 @@ class Books:
         By slot. iSAM2 keeps an empty slot for a factor that has gone; so do the books.
     named
         Slots of the factors that may be taken back.
+    unnamed
+        How many others there are; they never change their order.
     """
 
     factors: gtsam.NonlinearFactorGraph = field(default_factory=gtsam.NonlinearFactorGraph)
     named: dict[str, int] = field(default_factory=dict)
+    unnamed: int = 0
     _holes: bool = False
 
     def __len__(self) -> int:
@@ -32,7 +35,13 @@ class Books:
 
     def copy(self) -> Books:
         """Copy them; what is entered into the one is not in the other."""
-        return Books(gtsam.NonlinearFactorGraph(self.factors), dict(self.named), self._holes)
+        factors = gtsam.NonlinearFactorGraph(self.factors)
+        return Books(factors, dict(self.named), self.unnamed, self._holes)
+
+    def add(self, factors: gtsam.NonlinearFactorGraph) -> None:
+        """Put unnamed factors in."""
+        self.factors.push_back(factors)
+        self.unnamed += int(factors.size())
 
     def exchange(
         self, entering: Mapping[str, gtsam.NonlinearFactor], leaving: Collection[str]
@@ -56,6 +65,7 @@ class Books:
     def remove(self, slots: Collection[int]) -> None:
         """Take unnamed factors out."""
         self._holes = True
+        self.unnamed -= len(slots)
         for i in slots:
             self.factors.remove(i)
 
@@ -71,11 +81,13 @@ class Books:
                 if i in names:
                     named[names[i]] = count
                 count += 1
-        return Books(without(self.factors, gone), named)
+        factors = without(self.factors, gone)
+        return Books(factors, named, int(factors.size()) - len(named))
 
     def only_named(self, factors: gtsam.NonlinearFactorGraph) -> Books:
         """Other factors, and after them the named ones of these books."""
-        books = Books(gtsam.NonlinearFactorGraph(factors))
+        books = Books()
+        books.add(factors)
         books.exchange({name: self.factors.at(slot) for name, slot in self.named.items()}, ())
         return books
 
@@ -85,33 +97,38 @@ class Books:
         entering: Mapping[str, gtsam.NonlinearFactor],
         wanted: Collection[str],
     ) -> tuple[gtsam.NonlinearFactorGraph, Books]:
-        """What came since and is wanted, and the books of then with it.
+        """What another state of the graph lacks, and the books of that with it.
 
         Parameters
         ----------
         then
-            An earlier copy of these books.
+            Books on the same graph, earlier or under other verdicts.
         entering
             Named factors that are not in yet.
         wanted
-            Names of all factors that there shall be.
+            Names of all factors that there shall be; `then` has no other.
         """
-        names = {slot: name for name, slot in self.named.items()}
-        since, books = gtsam.NonlinearFactorGraph(), then.copy()
-
-        def enter(factor: gtsam.NonlinearFactor, name: str | None) -> None:
-            if name is not None:
-                books.named[name] = len(books)
-            books.factors.add(factor)
+        names, books = {slot: name for name, slot in self.named.items()}, then.copy()
+        lacking = [
+            slot for name, slot in self.named.items() if name in wanted and name not in then.named
+        ]
+        slot, more = len(self), self.unnamed - then.unnamed
+        while more > 0:
+            slot -= 1
+            if self.factors.exists(slot) and slot not in names:
+                lacking.append(slot)
+                more -= 1
+        since = gtsam.NonlinearFactorGraph()
+        for slot in sorted(lacking):
+            factor, name = self.factors.at(slot), names.get(slot)
             since.add(factor)
-
-        for slot in range(len(then), len(self)):
-            name = names.get(slot)
-            if self.factors.exists(slot) and (
-                name is None or (name in wanted and name not in books.named)
-            ):
-                enter(self.factors.at(slot), name)
-        for name, factor in entering.items():
-            if name not in books.named:
-                enter(factor, name)
+            if name is None:
+                books.factors.add(factor)
+                books.unnamed += 1
+            else:
+                books.exchange({name: factor}, ())
+        new = {name: factor for name, factor in entering.items() if name not in then.named}
+        for factor in new.values():
+            since.add(factor)
+        books.exchange(new, ())
         return since, books

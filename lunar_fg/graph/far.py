@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 
 import gtsam
@@ -10,12 +11,13 @@ import numpy as np
 from frontends.errors import EstimationError
 from frontends.measurements import FloatArray
 from lunar_fg.graph.isam import GuardedIsam
-from lunar_fg.graph.planar import planar, turn, wrapped
+from lunar_fg.graph.planar import planar, turn
 
 
 def turned_by(map_T_rover: FloatArray, place: FloatArray) -> float:
     """Angle from a pose to a place (x, y, yaw), rad."""
-    return abs(wrapped(place[2] - float(planar(map_T_rover)[2])))
+    yaw = math.atan2(map_T_rover[1, 0], map_T_rover[0, 0])
+    return abs(math.remainder(float(place[2]) - yaw, 2.0 * math.pi))
 
 
 def onto(map_T_rover: FloatArray, place: FloatArray) -> gtsam.Pose3:

@@ -12,18 +12,19 @@ from frontends.errors import EstimationError
 from frontends.measurements import FloatArray
 from lunar_fg.graph.books import Books
 from lunar_fg.graph.descent import descend, named_landmark, values_without
+from lunar_fg.graph.isam_steps import (
+    GTSAM_ERRORS,
+    Relinearization,
+    carry,
+    first_line,
+    is_pose,
+    ordered_last,
+    require_finite,
+)
 from lunar_fg.graph.snapshots import Snapshot, Snapshots, moved_along
 
 _MOST_SETTLING_STEPS = 100
 _MOST_REPAIRS = 12
-#: Updates after a named factor came or went; each linearises anew what still moves.
-_MOST_CARRYING_UPDATES = 6
-# What pybind11 turns GTSAM's C++ exceptions into.
-_GTSAM_ERRORS = (RuntimeError, ValueError, IndexError, KeyError)
-
-_POSE, _LANDMARK = ord("x"), ord("l")
-_MANY_LANDMARKS = 200
-
 _T = TypeVar("_T")
 
 QR_WARNING = (
@@ -40,10 +41,8 @@ class GuardedIsam:
     qr
         Factorise by QR from the start. QR has no limit on how far loose directions drift;
         Cholesky is faster with many landmarks.
-    relinearize_rad, relinearize_m
-        Changes of a pose past which it is linearised again; of a landmark the latter.
-    relinearize_skip
-        At every which update that is looked at.
+    relinearization
+        When it linearises anew.
     snapshots
         How many copies from before the last map measurements are kept.
     unsound
@@ -55,23 +54,17 @@ class GuardedIsam:
         self,
         *,
         qr: bool,
-        relinearize_rad: float = 0.05,
-        relinearize_m: float = 0.05,
-        relinearize_skip: int = 10,
+        relinearization: Relinearization | None = None,
         snapshots: int = 1,
         unsound: Callable[[gtsam.Values], set[int]] | None = None,
     ) -> None:
         self._qr = qr
-        self._thresholds = gtsam.ISAM2ThresholdMap()
-        of_pose = np.array([relinearize_rad] * 3 + [relinearize_m] * 3)
-        self._thresholds.insert((chr(_POSE), of_pose))
-        self._thresholds.insert((chr(_LANDMARK), np.full(3, relinearize_m)))
-        self._skip = relinearize_skip
+        self._relinearization = relinearization or Relinearization()
         self._snapshots = Snapshots(snapshots)
         self._unsound = unsound or (lambda _: set())
         self._books = Books()
         self._initial = gtsam.Values()
-        self._isam = self._fresh()
+        self._isam = self._relinearization.fresh(qr=qr)
         self._warnings: tuple[str, ...] = ()
 
     @property
@@ -79,25 +72,17 @@ class GuardedIsam:
         """What the user should know about the solver."""
         return self._warnings
 
-    def _fresh(self) -> gtsam.ISAM2:
-        params = gtsam.ISAM2Params()
-        params.relinearizeSkip = self._skip
-        params.enablePartialRelinearizationCheck = True
-        params.setRelinearizeThreshold(self._thresholds)
-        params.setFactorization("QR" if self._qr else "CHOLESKY")
-        return gtsam.ISAM2(params)
-
     def _rebuild(self, values: gtsam.Values) -> None:
-        isam = self._fresh()
+        isam = self._relinearization.fresh(qr=self._qr)
         self._snapshots.clear()
         self._books = self._books.cleared()
         try:
             if len(self._books):
                 isam.update(self._books.factors, values)
-        except _GTSAM_ERRORS as error:
+        except GTSAM_ERRORS as error:
             if self._qr:
                 raise EstimationError(
-                    f"the graph cannot be solved ({_first_line(error)})"
+                    f"the graph cannot be solved ({first_line(error)})"
                 ) from error
             self._qr, self._warnings = True, (QR_WARNING,)
             self._rebuild(values)
@@ -120,14 +105,14 @@ class GuardedIsam:
             When they cannot be solved; the graph is as it was before the call.
         """
         try:
-            self._isam.update(factors, values, [], _ordered_last(factors))
-            if self._skip == 1:
+            self._isam.update(factors, values, [], ordered_last(factors))
+            if self._relinearization.skip == 1:
                 # A new pose that its attitude turned by much counts anew at once.
                 self._isam.update()
-            _require_finite(self._isam, values)
-        except _GTSAM_ERRORS as error:
+            require_finite(self._isam, values)
+        except GTSAM_ERRORS as error:
             return self._recover(factors, values, frame, error)
-        self._books.factors.push_back(factors)
+        self._books.add(factors)
         self._initial.insert(values)
         return set()
 
@@ -143,25 +128,29 @@ class GuardedIsam:
         EstimationError
             When the graph cannot be solved so; it is as it was before the call.
         """
-        if leaving:
-            wanted = ({*self._books.named} - {*leaving}) | {*entering}
-            back = self._snapshots.take(wanted, len(self._books))
-            if back is not None and self._go_back(back, entering, wanted):
-                return
-        before, factors = gtsam.ISAM2(self._isam), gtsam.NonlinearFactorGraph()
+        wanted = ({*self._books.named} - {*leaving}) | {*entering}
+        back = self._snapshots.take(wanted, self._books)
+        if back is not None and self._go_back(back, entering, wanted):
+            return
+        # Copied only where the copy is kept: a failure costs less often than a copy each time.
+        before = Snapshot(gtsam.ISAM2(self._isam), self._books.copy()) if entering else None
+        factors = gtsam.NonlinearFactorGraph()
         for factor in entering.values():
             factors.add(factor)
         gone = [self._books.named[name] for name in leaving]
         try:
-            _carry(self._isam, factors, gtsam.Values(), gone)
-        except _GTSAM_ERRORS as error:
-            self._isam = before
+            carry(self._isam, factors, gtsam.Values(), gone)
+        except GTSAM_ERRORS as error:
+            if before is not None:
+                self._isam = before.isam
+            else:
+                self._rebuild(self._linearization())
             raise EstimationError(
                 f"keyframe {frame}: the map measurement could not be solved and is left out "
-                f"({_first_line(error)})"
+                f"({first_line(error)})"
             ) from error
-        if entering:
-            self._snapshots.keep(Snapshot(before, self._books.copy()))
+        if before is not None:
+            self._snapshots.keep(before)
         self._books.exchange(entering, leaving)
 
     def exchange_from(
@@ -203,11 +192,13 @@ class GuardedIsam:
         since, books = self._books.since(back.books, entering, wanted)
         keys = list(since.keyVector())
         new = [key for key in keys if not back.isam.valueExists(key)]
-        poses = {key for key in keys if _is_pose(key)}
+        poses = {key for key in keys if is_pose(key)}
         try:
-            _carry(back.isam, since, moved_along(new, self._isam, back.isam, poses), [])
-        except _GTSAM_ERRORS:
+            if keys:  # else it is there already, to the last bit
+                carry(back.isam, since, moved_along(new, self._isam, back.isam, poses), [])
+        except GTSAM_ERRORS:
             return False
+        self._snapshots.leave(Snapshot(self._isam, self._books), wanted)
         self._isam, self._books = back.isam, books
         return True
 
@@ -227,7 +218,7 @@ class GuardedIsam:
         gone = self._books.slots_of(landmarks)
         try:
             self._isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), gone)
-        except _GTSAM_ERRORS:
+        except GTSAM_ERRORS:
             estimate = self._linearization()
             self._books = self._books.cleared(landmarks)
             self._initial = values_without(self._initial, landmarks)
@@ -244,7 +235,7 @@ class GuardedIsam:
             latest = self._isam.getLinearizationPoint()
             found = gtsam.Values()
             for key in values.keys():  # noqa: SIM118
-                if _is_pose(key):
+                if is_pose(key):
                     pose = latest.atPose3(key)
                     finite = np.isfinite(pose.matrix()).all()
                     found.insert(key, pose if finite else values.atPose3(key))
@@ -252,7 +243,7 @@ class GuardedIsam:
                     point = latest.atPoint3(key)
                     finite = np.isfinite(point).all()
                     found.insert(key, point if finite else values.atPoint3(key))
-        except _GTSAM_ERRORS:
+        except GTSAM_ERRORS:
             return values
         return found
 
@@ -266,7 +257,7 @@ class GuardedIsam:
         """Solve anew without the landmarks that are at fault, by QR if need be."""
         before = self._linearization()
         whole, start = self._books.cleared().copy(), gtsam.Values(before)
-        whole.factors.push_back(factors)
+        whole.add(factors)
         start.insert(values)
         aside: set[int] = set()
         was_qr, reason = self._qr, error
@@ -279,11 +270,11 @@ class GuardedIsam:
                 self._qr = True
             else:
                 break
-            isam = self._fresh()
+            isam = self._relinearization.fresh(qr=self._qr)
             try:
                 isam.update(whole.factors, start)
-                _require_finite(isam, values)
-            except _GTSAM_ERRORS as failure:
+                require_finite(isam, values)
+            except GTSAM_ERRORS as failure:
                 reason = failure
                 continue
             self._snapshots.clear()
@@ -295,7 +286,7 @@ class GuardedIsam:
         self._rebuild(before)
         raise EstimationError(
             f"keyframe {frame}: its measurements could not be solved and are left out "
-            f"({_first_line(error)})"
+            f"({first_line(error)})"
         ) from error
 
     def values(self) -> gtsam.Values:
@@ -331,10 +322,10 @@ class GuardedIsam:
     def _marginal(self, query: Callable[[gtsam.ISAM2], _T]) -> _T:
         try:
             return query(self._isam)
-        except _GTSAM_ERRORS as error:
+        except GTSAM_ERRORS as error:
             if self._qr:
                 raise EstimationError(
-                    f"the marginal covariance failed ({_first_line(error)})"
+                    f"the marginal covariance failed ({first_line(error)})"
                 ) from error
         self._qr = True
         self._warnings = (QR_WARNING,)
@@ -370,56 +361,3 @@ class GuardedIsam:
             self._isam, self._books, self._initial = before
             raise
         return end.set_aside
-
-
-def _carry(
-    isam: gtsam.ISAM2,
-    factors: gtsam.NonlinearFactorGraph,
-    values: gtsam.Values,
-    gone: list[int],
-) -> None:
-    """Exchange factors, and linearise anew what moves; raises what GTSAM raises, or ValueError."""
-    result = isam.update(factors, values, gone, force_relinearize=True)
-    for _ in range(_MOST_CARRYING_UPDATES):
-        if not result.getVariablesRelinearized():
-            break
-        result = isam.update(force_relinearize=True)
-    for key in factors.keyVector():
-        if _is_pose(key) and not np.isfinite(isam.calculateEstimatePose3(key).matrix()).all():
-            raise ValueError("the estimate is not finite")
-
-
-def _ordered_last(factors: gtsam.NonlinearFactorGraph) -> gtsam.KeyGroupMap | None:
-    """Choose which variables iSAM2 eliminates last; None leaves all those just seen there.
-
-    Its own choice grows least with the run, but makes one dense clique of all landmarks just
-    seen: with hundreds, poses after landmarks cost less (18 times on KITTI-00).
-    """
-    keys = list(factors.keyVector())
-    poses = [key for key in keys if _is_pose(key)]
-    if len(keys) - len(poses) < _MANY_LANDMARKS:
-        return None
-    last = gtsam.KeyGroupMap()
-    for key in poses:
-        last.insert2(key, 1)
-    return last
-
-
-def _require_finite(isam: gtsam.ISAM2, values: gtsam.Values) -> None:
-    """Raise what GTSAM raises, or a ValueError, unless the poses among these have an estimate."""
-    for key in _pose_keys(values):
-        if not np.isfinite(isam.calculateEstimatePose3(key).matrix()).all():
-            raise ValueError("the estimate is not finite")
-
-
-def _is_pose(key: int) -> bool:
-    return bool(gtsam.Symbol(key).chr() == _POSE)
-
-
-def _pose_keys(values: gtsam.Values) -> list[int]:
-    return list(gtsam.utilities.allPose3s(values).keys())
-
-
-def _first_line(error: Exception) -> str:
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return " ".join(lines[:2]) or type(error).__name__

@@ -21,6 +21,7 @@ from lunar_fg.graph.factors import (
 )
 from lunar_fg.graph.far import exchange, onto, shifts, turned_by
 from lunar_fg.graph.isam import GuardedIsam
+from lunar_fg.graph.isam_steps import Relinearization
 from lunar_fg.graph.keyframe import Entered, Keyframe
 from lunar_fg.graph.network import NO_YAW_SIGMA
 from lunar_fg.graph.planar import Planar, PlanarChain
@@ -28,9 +29,9 @@ from lunar_fg.graph.segment import Segment, SegmentSolution
 from lunar_fg.graph.setup import Setup
 from lunar_fg.graph.uprights import uprights
 
-#: To second order a turn of 1 mrad puts the end of a kilometre off by 0.5 mm, a shift by 0.1 m
-#: together with it by 0.1 mm.
-_RELINEARIZE_RAD, _RELINEARIZE_M = 1e-3, 0.1
+#: The path ahead of the last fix is loose: there what turns of 1 mrad leave to second order puts
+#: its end off by centimetres (`benchmarks/graph.py`), though by no more than 2 % of its sigma.
+_RELINEARIZATION = Relinearization(rad=1e-4, m=0.1, skip=1)
 _SNAPSHOTS = 6
 
 
@@ -48,9 +49,7 @@ class SegmentGraph:
         # One pose in segment_keyframes: QR costs no more than Cholesky and has no 4096 rule.
         self._isam = GuardedIsam(
             qr=True,
-            relinearize_rad=_RELINEARIZE_RAD,
-            relinearize_m=_RELINEARIZE_M,
-            relinearize_skip=1,
+            relinearization=_RELINEARIZATION,
             snapshots=_SNAPSHOTS,
         )
         self._segment: Segment | None = None

@@ -1,7 +1,8 @@
 """The smoother as it was before each of the last map measurements: to take one back is to go back.
 
 iSAM2 takes a factor out in a millisecond; but a false fix has moved every pose by metres, and
-linearising all of them anew, there and back, is what costs. Before it, nothing had moved.
+linearising all of them anew, there and back, is what costs. Before it, nothing had moved. What
+is left that way is kept, too: verdicts change more than once.
 """
 
 from __future__ import annotations
@@ -35,6 +36,10 @@ class Snapshot:
         """Whether the wanted named factors are reached from here by adding some."""
         return all(name in wanted for name in self.books.named)
 
+    def lacks(self, wanted: Collection[str], books: Books) -> int:
+        """How many factors have to be added; `books` hold all the unnamed ones."""
+        return books.unnamed - self.books.unnamed + len(wanted) - len(self.books.named)
+
 
 class Snapshots:
     """The last few.
@@ -47,34 +52,47 @@ class Snapshots:
 
     def __init__(self, most: int) -> None:
         self._most = most
+        #: What goes first is first.
         self._kept: list[Snapshot] = []
 
     def keep(self, snapshot: Snapshot) -> None:
         """Add the newest."""
         self._kept = [*self._kept, snapshot][-self._most :]
 
+    def leave(self, snapshot: Snapshot, wanted: Collection[str]) -> None:
+        """Add one that other factors are wanted than; such ones go first."""
+        self._kept = sorted([*self._kept, snapshot], key=lambda kept: kept.leads_to(wanted))
+        self._kept = self._kept[-self._most :]
+
     def clear(self) -> None:
         """Forget all: slots have been renumbered, or variables have gone."""
         self._kept = []
 
-    def take(self, wanted: Collection[str], size: int) -> Snapshot | None:
-        """Find the newest that has nothing but what is wanted, and give it away.
+    def take(self, wanted: Collection[str], books: Books) -> Snapshot | None:
+        """Find the nearest that has nothing but what is wanted, and give it away.
+
+        None where there is none near, or where the graph is as near as it stands.
 
         Parameters
         ----------
         wanted
             Names of the factors that there shall be.
-        size
-            Slots now.
+        books
+            Of the graph as it stands.
         """
-        for i in reversed(range(len(self._kept))):
-            snapshot = self._kept[i]
-            if size - len(snapshot.books) > _MOST_FACTORS_SINCE:
-                break
-            if snapshot.leads_to(wanted):
-                self._kept = self._kept[:i]
-                return snapshot
-        return None
+        near = [
+            (lacks, -i)
+            for i, snapshot in enumerate(self._kept)
+            if (lacks := snapshot.lacks(wanted, books)) <= _MOST_FACTORS_SINCE
+            and snapshot.leads_to(wanted)
+        ]
+        if not near:
+            return None
+        at = -min(near)[1]
+        here = set(books.named)
+        if here.issubset(wanted) and here.issuperset(self._kept[at].books.named):
+            return None
+        return self._kept.pop(at)
 
 
 def moved_along(

@@ -139,9 +139,7 @@ def _fit(off: FloatArray, joint: FloatArray, noise: FloatArray) -> float:
     that a loose path brings together agree by chance.
     """
     m = len(off)
-    covariance = joint.reshape(3 * m, 3 * m) + np.kron(
-        np.ones((m, m)), np.diag(np.square(_OFFSET_SIGMAS))
-    )
+    covariance = joint.reshape(3 * m, 3 * m) + np.tile(np.diag(np.square(_OFFSET_SIGMAS)), (m, m))
     loose = np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(covariance[:3, :3])[1]
     loose -= np.linalg.slogdet(noise[1:])[1].sum()
     return float(off.ravel() @ np.linalg.solve(covariance, off.ravel()) + loose)

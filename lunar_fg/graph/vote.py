@@ -249,9 +249,7 @@ class Vote:
         more, told = stories(refused, solved.covariance, self._barrier, int((~out).sum()))
         return _Found(tuple(chosen), solved, cost + more, tuple(rows[s] for s in told))
 
-    def _gains(
-        self, chosen: Sequence[Choice], distance: FloatArray
-    ) -> tuple[FloatArray, IntArray]:
+    def _gains(self, chosen: Sequence[Choice], distance: FloatArray) -> tuple[FloatArray, IntArray]:
         """What the best other verdict on each group would save, and which: -1 for none of it."""
         barrier, some = self._barrier, self._open
         gain, other = np.zeros(len(chosen)), np.full(len(chosen), -1, dtype=np.int64)

@@ -85,3 +85,38 @@ def test_landmarks_that_came_since_stay():
         smoother.finish()
         ends.append(smoother.trajectory().map_T_rover[:, :3, 3])
     assert np.linalg.norm(ends[1] - ends[0], axis=1).max() < 1e-3
+
+
+def test_to_and_fro_is_to_the_last_bit_without_a_step(wheels, monkeypatch):
+    """A verdict that changes again finds what was left, too."""
+    smoother = driven(wheels)
+    before = smoother.trajectory().map_T_rover
+    smoother.accept(FALSE)
+    believed = smoother.trajectory().map_T_rover
+    assert np.abs(believed - before).max() > 2.0
+    monkeypatch.setattr(guarded, "carry", None)  # no step is taken from here on
+    for _ in range(2):
+        smoother.reject(FALSE)
+        np.testing.assert_array_equal(smoother.trajectory().map_T_rover, before)
+        smoother.accept(FALSE)
+        np.testing.assert_array_equal(smoother.trajectory().map_T_rover, believed)
+
+
+def test_what_came_since_is_in_both_stories(wheels):
+    """Reject, drive on with a fix, accept, drive on, reject: each as if it had never been else."""
+    ends = []
+    for changes in ({120: "accept"}, {110: "accept", 115: "reject", 125: "accept"},
+                    {110: "accept", 115: "reject", 125: "accept", 130: "reject"}, {}):  # fmt: skip
+        smoother = IncrementalSmoother(wheels.camera, wheels.rover_T_camera, wheels.start)
+        for keyframe in wheels.keyframes:
+            smoother.add(keyframe)
+            if keyframe.index and keyframe.index % 40 == 0:
+                smoother.add_fix(fix(wheels, keyframe.index))
+            if keyframe.index == FALSE:
+                smoother.add_fix(fix(wheels, FALSE, 40.0))
+            if keyframe.index in changes:
+                getattr(smoother, changes[keyframe.index])(FALSE)
+        ends.append(smoother.trajectory().map_T_rover[:, :3, 3])
+    assert np.linalg.norm(ends[0] - ends[3], axis=1).max() > 2.0
+    assert np.linalg.norm(ends[1] - ends[0], axis=1).max() < 5e-3
+    assert np.linalg.norm(ends[2] - ends[3], axis=1).max() < 5e-3
