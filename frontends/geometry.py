@@ -22,7 +22,7 @@ def skew(v: ArrayLike) -> FloatArray:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
-_LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
+_LAST_ROW = (0.0, 0.0, 0.0, 1.0)
 
 
 def pose(rotation: ArrayLike, translation: ArrayLike) -> FloatArray:
@@ -112,16 +112,22 @@ def adjoint(a_T_b: FloatArray) -> FloatArray:
 
 def is_rigid(transform: FloatArray, tolerance: float = 1e-4) -> bool:
     """Whether a finite 4x4 array is a rigid transform (orthonormal, right-handed)."""
-    transform = np.asarray(transform)
+    transform = np.asarray(transform, dtype=np.float64)
     if transform.shape != (4, 4) or not np.isfinite(transform).all():
         return False
-    rotation = transform[:3, :3]
-    orthonormal = np.abs(rotation @ rotation.T - np.eye(3)).max() < tolerance
-    return bool(
-        orthonormal
-        and np.linalg.det(rotation) > 0.0
-        and np.abs(transform[3] - _LAST_ROW).max() < tolerance
+    # Plain numbers: each call on so small an array costs more than all of these.
+    (a, b, c, _), (d, e, f, _), (g, h, i, _), last = transform.tolist()
+    off = max(
+        abs(a * a + b * b + c * c - 1.0),
+        abs(d * d + e * e + f * f - 1.0),
+        abs(g * g + h * h + i * i - 1.0),
+        abs(a * d + b * e + c * f),
+        abs(a * g + b * h + c * i),
+        abs(d * g + e * h + f * i),
+        *(abs(x - y) for x, y in zip(last, _LAST_ROW, strict=True)),
     )
+    right_handed = a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) > 0.0
+    return off < tolerance and right_handed
 
 
 def yaw_pitch_roll(a_T_b: FloatArray) -> tuple[float, float, float]:

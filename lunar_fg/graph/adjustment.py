@@ -25,6 +25,7 @@ _STEP_SIGMA = 0.02
 #: descends with any factor below 2.
 _STRETCH = 1.4
 _LARGEST_DAMPING = 1e8
+_LOOSE = "its measurements do not fix all poses"
 #: Step of the derivative by an error of all disparities, px.
 _SHIFT_PX = 0.05
 
@@ -198,13 +199,12 @@ class WindowSolver:
         system = self._linearise(poses, points)
         while not converged and iterations < max_iterations:
             iterations += 1
-            reduced = np.ascontiguousarray(system.hessian[6:, 6:])
-            damped = reduced + damping * np.diag(np.diag(reduced))
-            step = np.zeros(6 * self._n)
-            step[6:] = -inverse_positive(damped) @ system.gradient[6:]
+            positive, step, square = kernels.step_of(system.hessian, system.gradient, damping)
+            if not positive:
+                raise EstimationError(_LOOSE)
             new_poses, new_points = self._stepped(system, step, poses, points, stretch)
             new = self._linearise(new_poses, new_points)
-            size = float(np.sqrt(abs(float(step[6:] @ reduced @ step[6:]))))
+            size = float(np.sqrt(abs(square)))
             if new.cost <= system.cost * (1.0 + 1e-12):
                 poses, points, system = new_poses, new_points, new
                 damping = 0.0 if damping < 1e-6 else 0.1 * damping
@@ -241,5 +241,5 @@ def inverse_positive(matrix: FloatArray) -> FloatArray:
     """Inverse of a matrix that must be positive definite."""
     positive, result = kernels.inverse_positive(matrix)
     if not positive:
-        raise EstimationError("its measurements do not fix all poses")
+        raise EstimationError(_LOOSE)
     return result

@@ -52,6 +52,8 @@ def check_covariance(value: FloatArray, size: int, source: str, field: str) -> N
             remedy=f"give a {size}x{size} matrix",
         )  # fmt: skip
     check_finite(value, source, field)
+    if (value == value.T).all() and _is_definite(value):
+        return
     scale = max(float(np.abs(value).max()), 1e-300)
     if np.abs(value - value.T).max() > 1e-6 * scale:
         raise InputError("is not symmetric", source=source, field=field, remedy="symmetrise it")

@@ -18,7 +18,7 @@ from frontends.measurements import (
 )
 from lunar_fg.graph.checks import check_covariance, check_finite, check_observations, check_pose
 
-_LEAST_MOTION_SIGMA = (1e-6, 1e-5)
+_LEAST_MOTION_COVARIANCE = np.diag(np.square([1e-6] * 3 + [1e-5] * 3))
 #: rad; what is known better makes the graph indeterminate.
 _LEAST_TILT_SIGMA = 1e-9
 
@@ -107,8 +107,7 @@ def no_motion(source: str) -> InputError:
 
 def floored(covariance: FloatArray) -> FloatArray:
     """Make a 6x6 motion covariance surely positive (1e-6 rad, 1e-5 m)."""
-    rot, trans = _LEAST_MOTION_SIGMA
-    return np.asarray(0.5 * (covariance + covariance.T) + np.diag([rot**2] * 3 + [trans**2] * 3))
+    return np.asarray(0.5 * (covariance + covariance.T) + _LEAST_MOTION_COVARIANCE)
 
 
 @dataclass(frozen=True, slots=True)

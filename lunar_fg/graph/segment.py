@@ -67,6 +67,8 @@ class Segment:
     def __init__(self, setup: Setup, boundary: Keyframe) -> None:
         self._camera, self._config = setup.camera, setup.config
         self._rover_T_camera = setup.rover_T_camera
+        self._camera_T_rover = inverse(setup.rover_T_camera)
+        self._to_rover, self._to_camera = map(adjoint, (self._rover_T_camera, self._camera_T_rover))
         self._tracks = TrackTable(setup)
         self._motions: list[Motion] = []
         self._poses: list[FloatArray] = [np.eye(4)]
@@ -98,14 +100,12 @@ class Segment:
         enough = tracked.linked > 0
         used = ["stereo landmarks"] if enough else []
         if odometry is not None:
-            camera_T_rover = inverse(self._rover_T_camera)
-            rotate = adjoint(camera_T_rover)
             self._motions.append(
                 Motion(
                     here - 1,
                     here,
-                    camera_T_rover @ odometry.a_T_b @ self._rover_T_camera,
-                    floored(rotate @ odometry.covariance @ rotate.T),
+                    self._camera_T_rover @ odometry.a_T_b @ self._rover_T_camera,
+                    floored(self._to_camera @ odometry.covariance @ self._to_camera.T),
                 )
             )
             used.append("odometry")
@@ -125,20 +125,17 @@ class Segment:
 
         Rover frames, (4, 4) and (6, 6).
         """
-        rotate = adjoint(self._rover_T_camera)
+        return self._in_rover(self._poses[-1], self._covariances[-1])
+
+    def _in_rover(self, pose: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
         return (
-            self._rover_T_camera @ self._poses[-1] @ inverse(self._rover_T_camera),
-            rotate @ self._covariances[-1] @ rotate.T,
+            self._rover_T_camera @ pose @ self._camera_T_rover,
+            self._to_rover @ covariance @ self._to_rover.T,
         )
 
     def chain(self) -> list[tuple[FloatArray, FloatArray]]:
         """Poses and covariances after the boundary by the motions alone, rover frames."""
-        rotate = adjoint(self._rover_T_camera)
-        back = inverse(self._rover_T_camera)
-        return [
-            (self._rover_T_camera @ pose @ back, rotate @ covariance @ rotate.T)
-            for pose, covariance in zip(self._poses[1:], self._covariances[1:], strict=True)
-        ]
+        return list(map(self._in_rover, self._poses[1:], self._covariances[1:]))
 
     def chained(self) -> SegmentSolution:
         """Solve the segment by its motions alone: for when its landmarks cannot be solved."""
@@ -192,13 +189,12 @@ class Segment:
         solved = solver.solve(self._config.max_iterations)
         if not np.isfinite(solved.covariance).all():
             raise EstimationError("its covariance is not finite")
-        rover_T_camera = self._rover_T_camera
-        rotate = np.kron(np.eye(len(self) - 1), adjoint(rover_T_camera))
+        rotate = np.kron(np.eye(len(self) - 1), self._to_rover)
         by_disparity = self._config.disparity_sigma_px * solved.by_disparity
         covariance = solved.covariance + np.outer(by_disparity, by_disparity)
         covariance = rotate @ covariance @ rotate.T
         return SegmentSolution(
-            rover_T_camera @ solved.poses @ inverse(rover_T_camera),
+            self._rover_T_camera @ solved.poses @ self._camera_T_rover,
             0.5 * (covariance + covariance.T),
             len(window.pose),
             solved.chi_square,

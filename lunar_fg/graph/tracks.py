@@ -67,7 +67,8 @@ class Sightings:
         uuv = np.stack([observations.u_left, observations.u_right, observations.v], axis=-1)
         keep = uuv[:, 0] > uuv[:, 1]
         landmark = np.asarray(observations.landmark_id, dtype=np.int64)
-        return cls(landmark[keep], uuv[keep], observations.pixel_covariance()[keep])
+        every = cls(landmark, uuv, observations.pixel_covariance())
+        return every if keep.all() else every.take(keep)
 
     def take(self, rows: IntArray | BoolArray) -> Sightings:
         """Select the sightings at a mask or an index array."""
@@ -124,12 +125,15 @@ class TrackTable:
         a_T_b, covariance = np.eye(4), np.zeros((6, 6))
         oldest = int(self._age[old].max(initial=0))
         inverses, covariances = np.empty((oldest + 1, 4, 4)), np.empty((oldest + 1, 6, 6))
-        for age, (step, step_covariance) in enumerate(reversed(self._motions[-oldest:]), start=1):
-            carry = adjoint(inverse(a_T_b))
-            covariance = carry @ step_covariance @ carry.T + covariance
-            a_T_b = step @ a_T_b
-            if age <= oldest:
-                inverses[age], covariances[age] = inverse(a_T_b), covariance
+        steps = reversed(self._motions[-oldest:] if oldest else [])
+        for age, (step, step_covariance) in enumerate(steps, start=1):
+            if age == 1:
+                a_T_b, covariance = step, step_covariance
+            else:
+                carry = adjoint(inverses[age - 1])
+                covariance = carry @ step_covariance @ carry.T + covariance
+                a_T_b = step @ a_T_b
+            inverses[age], covariances[age] = inverse(a_T_b), covariance
         distance = kernels.distances(
             self._lens,
             self._sightings.uuv[old],

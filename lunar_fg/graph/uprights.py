@@ -6,7 +6,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from frontends.geometry import adjoint, inverse
 from frontends.measurements import FloatArray, Tilt
 from lunar_fg.graph.factors import up_in_rover
 from lunar_fg.graph.segment import SegmentSolution
@@ -44,22 +43,25 @@ def _joined(
     if not members:
         return None
     weights = np.array([tilts[i].sigma_rad ** -2 for i in members])
-    total, carried = np.zeros(3), 0.0
-    for i, weight in zip(members, weights, strict=True):
-        end_T_i = inverse(solution.first_T_rover[end]) @ solution.first_T_rover[i]
-        total += weight * end_T_i[:3, :3] @ up_in_rover(tilts[i])
-        carried += weight * np.sqrt(_rotation_variance(solution, end, i))
+    ups = np.array([up_in_rover(tilts[i]) for i in members])
+    turns = solution.first_T_rover[end, :3, :3].T @ solution.first_T_rover[members, :3, :3]
+    total = weights @ np.einsum("kij,kj->ki", turns, ups)
+    variance = _rotation_variances(solution, end, members, turns)
     # Readings are independent of each other; the rotations they are carried by are not.
-    variance = 1.0 / weights.sum() + (carried / weights.sum()) ** 2
-    return total / np.linalg.norm(total), float(np.sqrt(variance))
+    carried = float(weights @ np.sqrt(variance) / weights.sum())
+    return total / np.linalg.norm(total), float(np.sqrt(1.0 / weights.sum() + carried**2))
 
 
-def _rotation_variance(solution: SegmentSolution, end: int, i: int) -> float:
-    """Largest variance of the rotation between a pose and an end of the segment, rad^2."""
-    rows = slice(6 * (i - 1), 6 * i)
-    own = solution.covariance[rows, rows]
+def _rotation_variances(
+    solution: SegmentSolution, end: int, members: list[int], turns: FloatArray
+) -> FloatArray:
+    """Largest variance of the rotation between each pose and an end of the segment, rad^2."""
+    size = len(solution.covariance)
+    of_poses = solution.covariance.reshape(size // 6, 6, size // 6, 6)[:, :3, :, :3]
+    at = np.array(members) - 1
+    own = of_poses[at, :, at]
     if end:
-        carry = adjoint(inverse(solution.first_T_last) @ solution.first_T_rover[i])
-        cross = carry @ solution.covariance[rows, -6:]
-        own = solution.last_covariance + carry @ own @ carry.T - cross - cross.T
-    return float(np.linalg.eigvalsh(own[:3, :3])[-1].clip(min=0.0))
+        own = turns @ own @ turns.transpose(0, 2, 1)
+        cross = turns @ of_poses[at, :, -1]
+        own = solution.last_covariance[:3, :3] + own - cross - cross.transpose(0, 2, 1)
+    return np.asarray(np.linalg.eigvalsh(own)[:, -1].clip(min=0.0))

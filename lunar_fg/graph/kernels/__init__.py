@@ -17,7 +17,13 @@ from lunar_fg.graph.kernels.network import (
     solve_network,
 )
 from lunar_fg.graph.kernels.projection import LEAST_DEPTH_SHARE
-from lunar_fg.graph.kernels.system import inverse_positive, linearise, stepped, whiteners
+from lunar_fg.graph.kernels.system import (
+    inverse_positive,
+    linearise,
+    step_of,
+    stepped,
+    whiteners,
+)
 
 __all__ = [
     "LEAST_DEPTH_SHARE",
@@ -32,6 +38,7 @@ __all__ = [
     "network_covariance",
     "network_terms",
     "solve_network",
+    "step_of",
     "stepped",
     "warm",
     "whiteners",
@@ -50,6 +57,7 @@ def warm() -> None:
         lens, one, points, pixels, white, none, starts, 2.0
     )
     stepped(points, gradient, none, starts, landmarks[0], landmarks[1], landmarks[2], 1.0)
+    step_of(hessian, gradient, 0.0)
     moved(one, gradient)
     add_motions(one, none, none, one, hessian[None] + np.eye(6), hessian, gradient)
     inverse_positive(hessian + np.eye(6))

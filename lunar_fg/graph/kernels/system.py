@@ -201,6 +201,44 @@ def stepped(
 
 
 @kernel
+def step_of(
+    hessian: FloatArray, gradient: FloatArray, damping: float
+) -> tuple[bool, FloatArray, float]:
+    """Step (6n,) of all poses but the first, and its squared length in sigmas.
+
+    False where the system is not positive. The damping is a share of the diagonal.
+    """
+    n = len(gradient)
+    root, step = np.zeros((n, n)), np.zeros(n)
+    for i in range(6, n):
+        for j in range(6, i + 1):
+            value = hessian[i, j]
+            if i == j:
+                value *= 1.0 + damping
+            for k in range(6, j):
+                value -= root[i, k] * root[j, k]
+            if i == j:
+                if not value > 1e-14 * abs(hessian[i, i]):
+                    return False, step, 0.0
+                root[i, i] = np.sqrt(value)
+            else:
+                root[i, j] = value / root[j, j]
+        value = -gradient[i]
+        for k in range(6, i):
+            value -= root[i, k] * step[k]
+        step[i] = value / root[i, i]
+    for i in range(n - 1, 5, -1):
+        step[i] /= root[i, i]
+        for k in range(6, i):
+            step[k] -= root[i, k] * step[i]
+    square = 0.0
+    for i in range(6, n):
+        for j in range(6, n):
+            square += step[i] * hessian[i, j] * step[j]
+    return True, step, square
+
+
+@kernel
 def inverse_positive(matrix: FloatArray) -> tuple[bool, FloatArray]:
     """Inverse of a symmetric matrix, and whether it is positive definite.
 
