@@ -127,7 +127,7 @@ def is_rigid(transform: FloatArray, tolerance: float = 1e-4) -> bool:
         *(abs(x - y) for x, y in zip(last, _LAST_ROW, strict=True)),
     )
     right_handed = a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) > 0.0
-    return off < tolerance and right_handed
+    return bool(off < tolerance and right_handed)
 
 
 def yaw_pitch_roll(a_T_b: FloatArray) -> tuple[float, float, float]:
