@@ -176,6 +176,22 @@ def test_surf_finds_a_turned_crop_and_refuses_another_place(place):
     assert isinstance(match_layers(MapWindow(grid, crop), other), str)
 
 
+def test_an_uncertain_path_makes_an_uncertain_fix(place):
+    _, ortho, _, _, _, poses, terrain = place
+    adjustment = AbsoluteAdjustment(OrbitalMap.open(ortho), proposers=(RelitRelief(),))
+    motions = [np.diag([0.01**2, 0.01**2, 0.002**2])] * (len(poses) - 1)
+    motions[6] = np.diag([0.3**2, 0.1**2, 0.03**2])  # not seen
+    stated = []
+    for known in (None, motions):
+        patch = make_patch(terrain, poses, ANCHOR, adjustment.cell_m, known)
+        fix = adjustment.locate(patch, ANCHOR, WINDOW).fix
+        stated.append(fix.candidates[0].covariance)
+    more = stated[1] - stated[0]
+    np.testing.assert_allclose(more, patch.bending, rtol=0.02, atol=1e-6)
+    # a third of the ground lies behind the motion that was lost
+    assert 0.05 < np.sqrt(more[0, 0] + more[1, 1]) < 0.3
+
+
 def test_proposers_are_asked_in_turn_and_named(place):
     proposers = (RelitRelief(), SurfMatching("relit"))
     result = locate(place, OrbitalMap.open(place[1]), proposers=proposers)
