@@ -13,7 +13,7 @@ import numpy as np
 from frontends.measurements import AbsoluteFix
 from lunar_fg.geo_export import export_geojson, export_geopackage
 from lunar_fg.graph.keyframe import Keyframe, floored
-from lunar_fg.graph.landmarks import in_rover_frames
+from lunar_fg.graph.motions import in_rover_frames
 from lunar_fg.log import TraverseLog
 from lunar_fg.mcap_export import export_mcap
 from lunar_fg.pose_graph import PoseEdge, PoseGraph, g2o_text

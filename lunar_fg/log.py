@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import asdict, astuple
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from frontends.camera import StereoCamera
 from frontends.errors import InputError
-from frontends.measurements import Estimate, StartPrior
+from frontends.measurements import Estimate
 from frontends.revisit import Place
 from lunar_fg.checkpoint import Checkpoint
 from lunar_fg.graph.keyframe import Keyframe
@@ -27,12 +24,19 @@ from lunar_fg.log_fixes import (
     rows_of_decision,
     rows_of_ledger,
 )
+from lunar_fg.log_header import (
+    HEADER_QUERY,
+    SITTING_QUERY,
+    header_of,
+    row_of_header,
+    row_of_sitting,
+    sitting_of,
+)
 from lunar_fg.log_places import PLACE_QUERY, PLACE_TABLE, place_of, row_of_place
 from lunar_fg.log_rows import (
     KEYFRAME_TABLES,
     TABLES,
     RowReader,
-    pack,
     rows_of,
     rows_of_record,
 )
@@ -112,44 +116,22 @@ class TraverseLog:
         self.close()
 
     def _write_header(self, header: RunHeader) -> None:
-        start = header.start
-        sigmas = {"rot_rad": start.sigma_rot_rad, "trans_m": start.sigma_trans_m}
-        row = (
-            1,
-            json.dumps(asdict(header.camera)),
-            pack(header.rover_T_camera),
-            json.dumps(sigmas),
-            pack(start.map_T_rover),
-            header.config_json,
-        )
         with self._file.transaction():
-            self._file.insert(0, [("run", row)])
+            self._file.insert(0, [row_of_header(header)])
 
     def header(self) -> RunHeader:
         """Read what holds for the whole run."""
-        row = self._file.query("SELECT * FROM run")[0]
-        _, camera, rover_T_camera, start, start_pose, config = row
-        sigmas = json.loads(start)
-        start_pose = self._rows.array(start_pose, "run")
-        prior = StartPrior(start_pose, tuple(sigmas["rot_rad"]), tuple(sigmas["trans_m"]))
-        rover_T_camera = self._rows.array(rover_T_camera, "run")
-        return RunHeader(StereoCamera(**json.loads(camera)), rover_T_camera, prior, config)
+        return header_of(self._file.query(HEADER_QUERY)[0], self._rows)
 
     def begin(self, sitting: Sitting) -> None:
         """Note the dataset that the next frames are of."""
         with self._file.transaction():
-            values = astuple(sitting)
-            values = (*values[:5], json.dumps(values[5:]))  # calibration, topics, faults
             (number,) = self._file.query("SELECT count(*) FROM sitting")[0]
-            self._file.insert(-1, [("sitting", (number, *values))])
+            self._file.insert(-1, [row_of_sitting(number, sitting)])
 
     def sittings(self) -> list[Sitting]:
         """Datasets of the run, in order."""
-        rows = self._file.query("SELECT * FROM sitting ORDER BY number")
-        return [
-            Sitting(dataset, images, traverse, index, stamp_s, *map(tuple, json.loads(given)))
-            for _, dataset, images, traverse, index, stamp_s, given in rows
-        ]
+        return list(map(sitting_of, self._file.query(SITTING_QUERY)))
 
     def append(
         self,

@@ -4,8 +4,8 @@ from lunar_fg.graph.batch import BatchResult, optimize_batch
 from lunar_fg.graph.config import GraphConfig
 from lunar_fg.graph.convergence import ConvergenceReport
 from lunar_fg.graph.feed import feed
-from lunar_fg.graph.incremental import IncrementalSmoother, PredictedPose
-from lunar_fg.graph.keyframe import Keyframe, SmoothedTrajectory
+from lunar_fg.graph.incremental import IncrementalSmoother
+from lunar_fg.graph.keyframe import Keyframe, PredictedPose, SmoothedTrajectory
 from lunar_fg.graph.ledger import FixDecision, Height, LedgerEntry, LoopClosure, Ruling
 
 __all__ = [

@@ -118,6 +118,19 @@ def check_fix(fix: AbsoluteFix) -> None:
         check_height(fix.frame, fix.height_m, fix.sigma_height_m)
 
 
+def check_closure(i: int, j: int, a_T_b: FloatArray, covariance: FloatArray) -> None:
+    """Raise `InputError` unless a motion from keyframe `i` to a later one `j` is usable."""
+    source = f"closure {i} to {j}"
+    check_pose(a_T_b, source, "a_T_b")
+    check_covariance(covariance, 6, source, "covariance")
+    check_size(a_T_b, source, "a_T_b")
+    check_size(np.sqrt(np.abs(covariance)), source, "covariance")
+    if i >= j:
+        raise InputError(
+            "does not lead forward", source=source, remedy="give the earlier keyframe first"
+        )
+
+
 def _is_definite(covariance: FloatArray) -> bool:
     try:
         np.linalg.cholesky(covariance)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -22,62 +20,24 @@ from frontends.measurements import (
 )
 from frontends.relative import MotionPrediction
 from lunar_fg.graph import kernels
+from lunar_fg.graph.backend import Backend
 from lunar_fg.graph.ballot import NONE
-from lunar_fg.graph.cases import FixGraph
-from lunar_fg.graph.checks import check_covariance, check_fix, check_height, check_pose, check_size
+from lunar_fg.graph.checks import check_closure, check_fix, check_height
 from lunar_fg.graph.config import GraphConfig
 from lunar_fg.graph.considered import ConsideredScale
 from lunar_fg.graph.fixes import FixJudge
 from lunar_fg.graph.fullgraph import FullGraph
-from lunar_fg.graph.keyframe import Entered, Keyframe, SmoothedTrajectory
-from lunar_fg.graph.landmarks import in_rover_frames
+from lunar_fg.graph.keyframe import Keyframe, PredictedPose, SmoothedTrajectory
 from lunar_fg.graph.ledger import FixDecision, Height, LedgerEntry, LoopClosure
-from lunar_fg.graph.planar import Planar, planar_of
-from lunar_fg.graph.posegraph import SegmentGraph, compose
+from lunar_fg.graph.motions import compose, in_rover_frames
+from lunar_fg.graph.planar import Planar
+from lunar_fg.graph.posegraph import SegmentGraph
 from lunar_fg.graph.setup import Setup
 
 NO_VERTICAL_WARNING = (
     "nothing anchors the vertical (no attitude, no elevation model): roll, pitch and height "
     "are dead reckoned from the start"
 )
-
-
-@dataclass(frozen=True, slots=True)
-class PredictedPose:
-    """Where a keyframe is, as far as the graph knows.
-
-    Attributes
-    ----------
-    frame
-        Index of the keyframe.
-    map_T_rover
-        (4, 4).
-    covariance
-        (6, 6), rotation then translation, right perturbation, rover axes.
-    """
-
-    frame: int
-    map_T_rover: FloatArray
-    covariance: FloatArray
-
-    def planar(self) -> Planar:
-        """x, y, yaw and their covariance (3, 3), map axes: what a search window needs."""
-        return planar_of(self.map_T_rover, self.covariance)
-
-
-class _Graph(FixGraph, Protocol):
-    @property
-    def warnings(self) -> tuple[str, ...]: ...
-
-    def add(self, keyframe: Keyframe) -> Entered: ...
-
-    def finish(self) -> None: ...
-
-    def latest(self) -> tuple[FloatArray, FloatArray]: ...
-
-    def pose(self, ordinal: int) -> FloatArray: ...
-
-    def trajectory(self) -> tuple[FloatArray, FloatArray]: ...
 
 
 class IncrementalSmoother:
@@ -110,7 +70,7 @@ class IncrementalSmoother:
         self._setup = setup = Setup.checked(camera, rover_T_camera, start, config)
         kernels.warm()
         backend = SegmentGraph if setup.config.landmarks == "segments" else FullGraph
-        self._graph: _Graph = backend(setup)
+        self._graph: Backend = backend(setup)
         self._judge = FixJudge(self._graph, setup)
         self._index: list[int] = []
         self._stamp_s: list[float] = []
@@ -278,16 +238,8 @@ class IncrementalSmoother:
         InputError, EstimationError
             As for `add_fix`.
         """
-        source = f"closure {i} to {j}"
-        check_pose(a_T_b, source, "a_T_b")
-        check_covariance(covariance, 6, source, "covariance")
-        check_size(a_T_b, source, "a_T_b")
-        check_size(np.sqrt(np.abs(covariance)), source, "covariance")
+        check_closure(i, j, a_T_b, covariance)
         base, ordinal = self._ordinal(i), self._ordinal(j)
-        if base >= ordinal:
-            raise InputError(
-                "does not lead forward", source=source, remedy="give the earlier keyframe first"
-            )
         closure = LoopClosure(i, j, np.array(a_T_b), np.array(covariance))
         decision = self._judge.add_relative(closure, base, ordinal, self._index[-1])
         self._refresh()

@@ -17,11 +17,12 @@ from lunar_fg.graph.isam_steps import (
     Relinearization,
     carry,
     first_line,
-    is_pose,
+    joint_covariance,
+    linearization,
     ordered_last,
     require_finite,
 )
-from lunar_fg.graph.snapshots import Snapshot, Snapshots, moved_along
+from lunar_fg.graph.snapshots import Snapshot, Snapshots
 
 _MOST_SETTLING_STEPS = 100
 _MOST_REPAIRS = 12
@@ -144,7 +145,7 @@ class GuardedIsam:
             if before is not None:
                 self._isam = before.isam
             else:
-                self._rebuild(self._linearization())
+                self._rebuild(linearization(self._isam, self._initial))
             raise EstimationError(
                 f"keyframe {frame}: the map measurement could not be solved and is left out "
                 f"({first_line(error)})"
@@ -189,17 +190,12 @@ class GuardedIsam:
         wanted: Collection[str],
     ) -> bool:
         """Go on from a snapshot with what came since and is wanted; whether that can be solved."""
-        since, books = self._books.since(back.books, entering, wanted)
-        keys = list(since.keyVector())
-        new = [key for key in keys if not back.isam.valueExists(key)]
-        poses = {key for key in keys if is_pose(key)}
         try:
-            if keys:  # else it is there already, to the last bit
-                carry(back.isam, since, moved_along(new, self._isam, back.isam, poses), [])
+            isam, books = back.grown(self._isam, self._books, entering, wanted)
         except GTSAM_ERRORS:
             return False
         self._snapshots.leave(Snapshot(self._isam, self._books), wanted)
-        self._isam, self._books = back.isam, books
+        self._isam, self._books = isam, books
         return True
 
     def start_anew(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
@@ -219,7 +215,7 @@ class GuardedIsam:
         try:
             self._isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), gone)
         except GTSAM_ERRORS:
-            estimate = self._linearization()
+            estimate = linearization(self._isam, self._initial)
             self._books = self._books.cleared(landmarks)
             self._initial = values_without(self._initial, landmarks)
             self._rebuild(values_without(estimate, landmarks))
@@ -227,25 +223,6 @@ class GuardedIsam:
         self._snapshots.clear()
         self._books.remove(gone)
         self._initial = values_without(self._initial, landmarks)
-
-    def _linearization(self) -> gtsam.Values:
-        """Where iSAM2 stood, of the variables in the books, also after a failed update."""
-        values = gtsam.Values(self._initial)
-        try:
-            latest = self._isam.getLinearizationPoint()
-            found = gtsam.Values()
-            for key in values.keys():  # noqa: SIM118
-                if is_pose(key):
-                    pose = latest.atPose3(key)
-                    finite = np.isfinite(pose.matrix()).all()
-                    found.insert(key, pose if finite else values.atPose3(key))
-                else:
-                    point = latest.atPoint3(key)
-                    finite = np.isfinite(point).all()
-                    found.insert(key, point if finite else values.atPoint3(key))
-        except GTSAM_ERRORS:
-            return values
-        return found
 
     def _recover(
         self,
@@ -255,7 +232,7 @@ class GuardedIsam:
         error: Exception,
     ) -> set[int]:
         """Solve anew without the landmarks that are at fault, by QR if need be."""
-        before = self._linearization()
+        before = linearization(self._isam, self._initial)
         whole, start = self._books.cleared().copy(), gtsam.Values(before)
         whole.add(factors)
         start.insert(values)
@@ -312,12 +289,7 @@ class GuardedIsam:
 
     def joint_covariance(self, *keys: int) -> FloatArray:
         """Joint covariance of n poses, (6 n, 6 n), in the order given."""
-
-        def joint(isam: gtsam.ISAM2) -> FloatArray:
-            marginal = isam.jointMarginalCovariance(list(keys))
-            return np.block([[marginal.at(a, b) for b in keys] for a in keys])
-
-        return self._marginal(joint)
+        return self._marginal(lambda isam: joint_covariance(isam, keys))
 
     def _marginal(self, query: Callable[[gtsam.ISAM2], _T]) -> _T:
         try:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import gtsam
 import numpy as np
+
+from frontends.measurements import FloatArray
 
 #: What pybind11 turns GTSAM's C++ exceptions into.
 GTSAM_ERRORS = (RuntimeError, ValueError, IndexError, KeyError)
@@ -60,6 +63,34 @@ def carry(
     for key in factors.keyVector():
         if is_pose(key) and not np.isfinite(isam.calculateEstimatePose3(key).matrix()).all():
             raise ValueError("the estimate is not finite")
+
+
+def linearization(isam: gtsam.ISAM2, initial: gtsam.Values) -> gtsam.Values:
+    """Where iSAM2 stood, of the variables that have an initial value, also after a failed update.
+
+    The initial values stand in for what is not finite, or for all where nothing can be read.
+    """
+    found = gtsam.Values()
+    try:
+        latest = isam.getLinearizationPoint()
+        for key in initial.keys():  # noqa: SIM118
+            if is_pose(key):
+                pose = latest.atPose3(key)
+                finite = np.isfinite(pose.matrix()).all()
+                found.insert(key, pose if finite else initial.atPose3(key))
+            else:
+                point = latest.atPoint3(key)
+                finite = np.isfinite(point).all()
+                found.insert(key, point if finite else initial.atPoint3(key))
+    except GTSAM_ERRORS:
+        return gtsam.Values(initial)
+    return found
+
+
+def joint_covariance(isam: gtsam.ISAM2, keys: Sequence[int]) -> FloatArray:
+    """Joint covariance of n poses, (6 n, 6 n), in the order given."""
+    marginal = isam.jointMarginalCovariance(list(keys))
+    return np.block([[marginal.at(a, b) for b in keys] for a in keys])
 
 
 def ordered_last(factors: gtsam.NonlinearFactorGraph) -> gtsam.KeyGroupMap | None:

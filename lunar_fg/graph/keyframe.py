@@ -17,6 +17,7 @@ from frontends.measurements import (
     Tilt,
 )
 from lunar_fg.graph.checks import check_covariance, check_finite, check_observations, check_pose
+from lunar_fg.graph.planar import Planar, planar_of
 
 _LEAST_MOTION_COVARIANCE = np.diag(np.square([1e-6] * 3 + [1e-5] * 3))
 #: rad; what is known better makes the graph indeterminate.
@@ -118,6 +119,29 @@ class Entered:
     cut: int
     used: tuple[str, ...]
     lost: bool
+
+
+@dataclass(frozen=True, slots=True)
+class PredictedPose:
+    """Where a keyframe is, as far as the graph knows.
+
+    Attributes
+    ----------
+    frame
+        Index of the keyframe.
+    map_T_rover
+        (4, 4).
+    covariance
+        (6, 6), rotation then translation, right perturbation, rover axes.
+    """
+
+    frame: int
+    map_T_rover: FloatArray
+    covariance: FloatArray
+
+    def planar(self) -> Planar:
+        """x, y, yaw and their covariance (3, 3), map axes: what a search window needs."""
+        return planar_of(self.map_T_rover, self.covariance)
 
 
 @dataclass(frozen=True, slots=True)

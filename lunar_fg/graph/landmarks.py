@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
-from frontends.geometry import adjoint, inverse, transform_points
+from frontends.geometry import inverse, transform_points
 from frontends.measurements import FloatArray, IntArray
 from lunar_fg.graph.factors import (
     StereoFactors,
@@ -19,6 +19,7 @@ from lunar_fg.graph.factors import (
     tilt_factor,
 )
 from lunar_fg.graph.keyframe import Entered, Keyframe, floored, no_motion
+from lunar_fg.graph.motions import in_rover_frames
 from lunar_fg.graph.setup import Setup
 from lunar_fg.graph.tracks import Sightings, TrackTable, in_front
 
@@ -250,14 +251,6 @@ class WholeGraph:
         best = first if snr[0] >= snr[1] else second
         disparity = best.uuv[:1] - best.uuv[1:2]
         return key, best.ordinal, self._camera.triangulate(best.uuv[:1], best.uuv[2:], disparity)[0]
-
-
-def in_rover_frames(
-    a_T_b: FloatArray, covariance: FloatArray, rover_T_camera: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Turn a camera motion and its covariance into the rover's."""
-    rotate = adjoint(rover_T_camera)
-    return rover_T_camera @ a_T_b @ inverse(rover_T_camera), rotate @ covariance @ rotate.T
 
 
 def map_point(map_T_rover: FloatArray, rover_T_camera: FloatArray, point: FloatArray) -> FloatArray:

@@ -9,9 +9,8 @@ import gtsam
 import numpy as np
 
 from frontends.errors import EstimationError, InputError
-from frontends.geometry import adjoint, inverse
 from frontends.measurements import FloatArray, Tilt
-from lunar_fg.graph.anchors import Anchor, motion_between, spread
+from lunar_fg.graph.anchors import Anchor, motion_between
 from lunar_fg.graph.factors import (
     between_factor,
     pose_key,
@@ -23,10 +22,12 @@ from lunar_fg.graph.far import exchange, onto, shifts, turned_by
 from lunar_fg.graph.isam import GuardedIsam
 from lunar_fg.graph.isam_steps import Relinearization
 from lunar_fg.graph.keyframe import Entered, Keyframe
+from lunar_fg.graph.motions import compose
 from lunar_fg.graph.network import NO_YAW_SIGMA
 from lunar_fg.graph.planar import Planar, PlanarChain
 from lunar_fg.graph.segment import Segment, SegmentSolution
 from lunar_fg.graph.setup import Setup
+from lunar_fg.graph.spread import interior, spread
 from lunar_fg.graph.uprights import uprights
 
 #: The path ahead of the last fix is loose: there what turns of 1 mrad leave to second order puts
@@ -294,44 +295,3 @@ def _nothing_holds(keyframe: Keyframe) -> bool:
     if relative is None or relative.accepted or odometry is None:
         return False
     return bool(np.diag(odometry.covariance)[:3].max() > NO_YAW_SIGMA**2)
-
-
-def compose(
-    map_T_a: FloatArray, covariance_a: FloatArray, a_T_b: FloatArray, covariance: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Pose of `b` and its covariance from independent ``map_T_a`` and ``a_T_b``."""
-    carry = adjoint(inverse(a_T_b))
-    return map_T_a @ a_T_b, carry @ covariance_a @ carry.T + covariance
-
-
-def interior(
-    solution: SegmentSolution,
-    map_T_first: FloatArray,
-    map_T_last: FloatArray,
-    joint: FloatArray,
-) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Poses between a segment's ends, given what the whole graph says about the ends.
-
-    The segment's joint Gaussian is conditioned on its last pose, so that what fixes or
-    tilts pulled at the ends is spread over the segment, and covariances shrink with it.
-
-    Parameters
-    ----------
-    solution
-        The segment.
-    map_T_first, map_T_last, joint
-        Smoothed ends and their joint covariance (12, 12).
-
-    Returns
-    -------
-    tuple of list of FloatArray
-        Poses (4, 4) and covariances (6, 6) of the keyframes strictly between the ends.
-    """
-    poses, covariances = [], []
-    for i in range(1, len(solution.first_T_rover) - 1):
-        inner = spread(solution, i)
-        by_ends = inner.by_ends()
-        poses.append(inner.pose(map_T_first, map_T_last))
-        total = by_ends @ joint @ by_ends.T + inner.rest
-        covariances.append(0.5 * (total + total.T))
-    return poses, covariances

@@ -7,12 +7,13 @@ is left that way is kept, too: verdicts change more than once.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import gtsam
 
 from lunar_fg.graph.books import Books
+from lunar_fg.graph.isam_steps import carry, is_pose
 
 _MOST_FACTORS_SINCE = 500
 
@@ -39,6 +40,32 @@ class Snapshot:
     def lacks(self, wanted: Collection[str], books: Books) -> int:
         """How many factors have to be added; `books` hold all the unnamed ones."""
         return books.unnamed - self.books.unnamed + len(wanted) - len(self.books.named)
+
+    def grown(
+        self,
+        now: gtsam.ISAM2,
+        books: Books,
+        entering: Mapping[str, gtsam.NonlinearFactor],
+        wanted: Collection[str],
+    ) -> tuple[gtsam.ISAM2, Books]:
+        """Add what this lacks; the snapshot is used up. Raises what GTSAM raises, or ValueError.
+
+        Parameters
+        ----------
+        now, books
+            The graph as it stands; it stays as it is.
+        entering
+            Named factors that are not in it yet.
+        wanted
+            Names of all factors that there shall be.
+        """
+        since, all_books = books.since(self.books, entering, wanted)
+        keys = list(since.keyVector())
+        if keys:  # else it is there already, to the last bit
+            new = [key for key in keys if not self.isam.valueExists(key)]
+            poses = {key for key in keys if is_pose(key)}
+            carry(self.isam, since, moved_along(new, now, self.isam, poses), [])
+        return self.isam, all_books
 
 
 class Snapshots:
