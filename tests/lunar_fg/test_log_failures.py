@@ -165,7 +165,7 @@ def test_a_checkpoint_comes_back_bit_for_bit() -> None:
     finding = DisparityFinding(rng.random(3), rng.random(3), rng.random(3), 1e-7, True, 31)
     rectification = RectificationError(rng.random(6), rng.random(3))
     before = Checkpoint(
-        memory, 9, rectification, True, (b"l" * 16, b"\0" * 16), False, finding, True
+        memory, 9, rectification, True, (b"l" * 16, b"\0" * 16), False, 4, finding, True
     )
     after = Checkpoint.from_bytes(before.to_bytes())
     assert after.to_bytes() == before.to_bytes()
