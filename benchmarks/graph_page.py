@@ -42,9 +42,10 @@ _TEXTS = {
         "Wheels and tilt only, a fix every 200 keyframes: a false one is believed on a person's "
         "word and rejected again, at once or so many keyframes and another fix later, with the "
         "copy of iSAM2 from before it and without one. The milliseconds hold the vote on the "
-        "other fixes, too; those of the graph are without it. Without a copy what is left is "
-        "linearisation: poses that moved by less than 0.1 m and 1 mrad stay as they were "
-        "linearised, before as after; how far both are from the optimum stands beside it.",
+        "other fixes, too; those of the graph are without it. What is left is linearisation: poses "
+        "that moved by less than 0.1 m and 0.1 mrad stay as they were linearised, before as "
+        "after; how far both are from the optimum stands beside it. Where keyframes came between, "
+        "it is the distance between what the two ways lead to.",
     ),
     "false fixes": (
         "False fixes",
@@ -53,7 +54,8 @@ _TEXTS = {
         "the oracle, which is given the true fixes alone. Shares, not percent. The oracle gate "
         "holds each fix against the path and all true fixes: a false one that passes it, or a run "
         "that fails with it, no gate could have saved. Wrong verdicts are counted when they were "
-        "given, at the end, and those at the end that the oracle gate has right. Kernels have no "
+        "given, at the end, and those at the end that the oracle gate has right: for the product "
+        "with wheels and a fix every 500 m see `concepts.md`, absolute adjustment. Kernels have no "
         "verdict but their last one.",
     ),
     "KITTI-00": (

@@ -70,7 +70,8 @@ class TraverseLog:
         """
         log = cls(LogFile.create(path, f"{TABLES}{FIX_TABLES}{PLACE_TABLE}", SCHEMA_VERSION))
         try:
-            log._write_header(header)
+            with log._file.transaction():
+                log._file.insert(0, [row_of_header(header)])
         except BaseException:
             log.close()
             raise
@@ -114,10 +115,6 @@ class TraverseLog:
     ) -> None:
         """Close the log."""
         self.close()
-
-    def _write_header(self, header: RunHeader) -> None:
-        with self._file.transaction():
-            self._file.insert(0, [row_of_header(header)])
 
     def header(self) -> RunHeader:
         """Read what holds for the whole run."""

@@ -54,6 +54,22 @@ def shared(first, second):
     return first.take(a), second.take(b)
 
 
+@pytest.mark.parametrize("damping", [0.0, 0.3])
+def test_step_of_the_normal_equations(damping):
+    rng = np.random.default_rng(2)
+    root = rng.normal(size=(18, 18)) * np.geomspace(1.0, 1e3, 18)
+    hessian, gradient = root.T @ root + np.eye(18), rng.normal(size=18)
+    positive, step, square = kernels.step_of(hessian, gradient, damping)
+    reduced = hessian[6:, 6:]
+    expected = -np.linalg.solve(reduced + damping * np.diag(np.diag(reduced)), gradient[6:])
+    assert positive
+    np.testing.assert_array_equal(step[:6], 0.0)
+    np.testing.assert_allclose(step[6:], expected, rtol=1e-6, atol=1e-12)
+    assert square == pytest.approx(expected @ reduced @ expected, rel=1e-6)
+    hessian[7] = hessian[:, 7] = 0.0
+    assert not kernels.step_of(hessian, gradient, damping)[0]
+
+
 def test_distance_is_chi_square_with_three_degrees(traverse):
     distances = []
     for a, b in zip(traverse.keyframes, traverse.keyframes[1:], strict=False):
