@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections import deque
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -250,10 +251,13 @@ def other_ground(before: Refound | None, now: Refound) -> bool:
 
 
 class Richness:
-    """Notices images in which far fewer landmarks are found again than in those before."""
+    """Notices images in which far fewer landmarks are found again than in those before.
+
+    Fewer than in each of the last two that were usual: one alone may have been an exception.
+    """
 
     def __init__(self) -> None:
-        self._usual: Refound | None = None
+        self._usual: deque[Refound] = deque(maxlen=2)
         self._lasting = 0
         self._poor = Episodes(
             "far fewer landmarks were found again than just before: dust, blur, exposure, shadow, "
@@ -264,11 +268,13 @@ class Richness:
         """Take in what a motion was seen by; None where it was not seen."""
         if now is None:
             return
-        if other_ground(self._usual, now) and self._lasting < _LASTING:
+        poor = bool(self._usual) and all(other_ground(usual, now) for usual in self._usual)
+        if poor and self._lasting < _LASTING:
             self._poor.note(frame)
             self._lasting += 1
         else:
-            self._usual, self._lasting = now, 0
+            self._usual.append(now)
+            self._lasting = 0
 
     @property
     def warnings(self) -> tuple[str, ...]:

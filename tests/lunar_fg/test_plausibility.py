@@ -102,6 +102,13 @@ def test_poor_images_are_noticed_until_they_are_usual():
     assert richness.warnings[-1].startswith("and ")
 
 
+def test_one_rich_frame_does_not_make_those_after_it_poor():
+    richness = Richness()
+    for frame, found in enumerate([100, 95, 200, 100, 98, 104]):
+        richness.see(frame, Refound(300, found))
+    assert richness.warnings == ()
+
+
 def test_wheels_that_spin_on_the_spot_are_told_of():
     plausibility = Plausibility(MOUNT)
     step = np.eye(4)
