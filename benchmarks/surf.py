@@ -36,7 +36,8 @@ from numpy.typing import NDArray
 from frontends.camera import StereoCamera
 from frontends.matching import match_descriptors
 from frontends.measurements import StereoFrame
-from frontends.stereo import StereoConfig, StereoFeatures, StereoPerception
+from frontends.stereo import StereoConfig, StereoPerception
+from frontends.stereo_features import StereoFeatures
 from frontends.surf import SURF, warmup
 
 LEFT = "msl-navcam-pair/NLB_524534514EDR_F0562034NCAM00280M_.jpeg"

@@ -30,7 +30,7 @@ from frontends.relative import (
     RelativeConfig,
     RelativePositioning,
 )
-from frontends.stereo import StereoFeatures
+from frontends.stereo_features import StereoFeatures
 from frontends.tracking import TrackingConfig
 
 FloatArray = NDArray[np.float64]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, NamedTuple
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
@@ -15,8 +15,10 @@ from frontends.detector import DescribedPair, FeatureDetector
 from frontends.disparity import RefinedDisparities, refine_disparities
 from frontends.errors import InputError
 from frontends.matching import Matches, SearchWindows, match_in_windows
-from frontends.measurements import StereoFrame, StereoObservations
+from frontends.measurements import StereoFrame
 from frontends.rectification import RectificationError, observe, within_range
+from frontends.smoothing import SHARED_NOISE, smoothed
+from frontends.stereo_features import StereoFeatures
 from frontends.surf import SURF, Keypoints
 from frontends.templates import Templates
 from frontends.vertical_field import ENOUGH_PAIRS, fit_vertical, measure_vertical
@@ -65,51 +67,14 @@ class StereoConfig:
     threads: Annotated[int, Ge(1), Le(2)] = 1
 
 
-@dataclass(frozen=True, slots=True)
-class StereoFeatures:
-    """Stereo landmarks of one frame where its features are; ids are -1 until they are tracked.
+class _Look(NamedTuple):
+    """What was seen in a pair of images, and how much noise neighbouring pixels share."""
 
-    Attributes
-    ----------
-    observations
-        N landmarks, corrected by `rectification`.
-    descriptors
-        (N, 64) float32, from the left image.
-    laplacian
-        (N,) int8.
-    size_px
-        (N,) diameter of the image region a feature describes.
-    keypoints
-        How many in the left and in the right image.
-    matches
-        Pairs within the epipolar band.
-    refined
-        How many disparities the refinement confirmed.
-    epipolar_sigma_px
-        Robust 1-sigma of the vertical residual of the refined pairs.
-    slope
-        (N, 2) change of the disparity along u and along v, px per px; 0 where it is unknown.
-    templates
-        The patches around the landmarks in the left image.
-    """
-
-    observations: StereoObservations
-    descriptors: NDArray[np.float32]
-    laplacian: NDArray[np.int8]
-    size_px: FloatArray
-    keypoints: tuple[int, int]
-    matches: int
-    refined: int
-    epipolar_sigma_px: float
-    slope: FloatArray
-    templates: Templates
-
-    def __len__(self) -> int:
-        return len(self.descriptors)
-
-    def named(self, landmark_id: NDArray[np.int64]) -> StereoFeatures:
-        """The same landmarks with ids."""
-        return replace(self, observations=replace(self.observations, landmark_id=landmark_id))
+    frame: StereoFrame
+    described: DescribedPair
+    pairs: Matches
+    found: RefinedDisparities
+    noise: float = 1.0
 
 
 class StereoPerception:
@@ -162,17 +127,11 @@ class StereoPerception:
             When the images do not fit the camera, or left and right look swapped.
         """
         self.check_size(frame)
-        described = self._describe(frame)
+        seen = self._look(frame)
+        if self._poor(seen.found):
+            seen = self._look_again(seen)
+        frame, described, pairs, found, noise = seen
         left, right = described.left, described.right
-        if not self.vertical_measured:
-            self._measure_vertical(frame, described)
-        pairs, found = self._match_and_refine(frame, described)
-        if self._misaligned(found):
-            self._measure_vertical(frame, described)
-            pairs, found = self._match_and_refine(frame, described)
-            if self._misaligned(found):
-                # chance pairs have any depth: only those that the images confirm are kept
-                pairs, found = pairs.select(found.confirmed), found.select(found.confirmed)
         self._follow(found)
         left_uv = left.xy[pairs.query].astype(np.float64)
         scale = _scale(left, pairs.query)
@@ -207,6 +166,8 @@ class StereoPerception:
             epipolar_sigma,
             found.slope[keep],
             Templates.cut(frame.left, left_uv[keep]),
+            frame.left,
+            noise,
         )
 
     def check_size(self, frame: StereoFrame) -> None:
@@ -220,6 +181,33 @@ class StereoPerception:
                     field=name,
                     remedy="check the calibration's width and height",
                 )
+
+    def _look(self, frame: StereoFrame) -> _Look:
+        described = self._describe(frame)
+        if not self.vertical_measured:
+            self._measure_vertical(frame, described)
+        return _Look(frame, described, *self._match_and_refine(frame, described))
+
+    def _look_again(self, seen: _Look) -> _Look:
+        """Smooth the images, measure their rows anew: what shows more pairs that they confirm.
+
+        Smoothing is no rule: where there is no noise it costs precision.
+        """
+        calm = self._look(smoothed(seen.frame))
+        sigma_px = SHARED_NOISE * calm.found.sigma_px
+        calm = calm._replace(found=replace(calm.found, sigma_px=sigma_px), noise=SHARED_NOISE)
+        if not self._poor(calm.found):
+            return calm
+        if self._misaligned(seen.found):
+            self._measure_vertical(seen.frame, seen.described)
+            pairs, found = self._match_and_refine(seen.frame, seen.described)
+            seen = seen._replace(pairs=pairs, found=found)
+        best = max((seen, calm), key=lambda look: int(look.found.confirmed.sum()))
+        if not self._misaligned(best.found):
+            return best
+        # chance pairs have any depth: only those that the images confirm are kept
+        good = best.found.confirmed
+        return best._replace(pairs=best.pairs.select(good), found=best.found.select(good))
 
     def _describe(self, frame: StereoFrame) -> DescribedPair:
         describe = self._detector.detectAndCompute
@@ -289,11 +277,15 @@ class StereoPerception:
             4.0 * np.maximum(sigma, 0.25),
         )
 
+    def _poor(self, found: RefinedDisparities) -> bool:
+        """Whether there is so little that noise may hide the rest."""
+        return len(found.confirmed) < ENOUGH_PAIRS or self._misaligned(found)
+
     def _misaligned(self, found: RefinedDisparities) -> bool:
         """Whether the images confirm so few of the pairs that their rows cannot be the same.
 
-        A rig that was bent since the vertical field was measured shows so: its pairs are then
-        chance ones, with any depth.
+        A rig that was bent since the vertical field was measured shows so, and so does noise: the
+        pairs are then chance ones, with any depth.
         """
         enough = len(found.confirmed) >= ENOUGH_PAIRS
         return enough and float(found.confirmed.mean()) < self._LEAST_CONFIRMED

@@ -18,10 +18,10 @@ from frontends.camera import StereoCamera
 from frontends.foreshortening import surface_warp
 from frontends.landmark_memory import LandmarkMemory
 from frontends.matching import Matches, SearchWindows, match_in_windows
-from frontends.measurements import Image, RelativePose, StereoObservations
+from frontends.measurements import RelativePose, StereoObservations
 from frontends.rectification import observe
 from frontends.relative import MotionPrediction, predicted_points
-from frontends.stereo import StereoFeatures
+from frontends.stereo_features import StereoFeatures
 from frontends.tracks import Tracks
 
 FloatArray = NDArray[np.float64]
@@ -153,15 +153,11 @@ class LandmarkTracker:
             np.zeros(len(chosen), dtype=np.bool_),
         )
 
-    def follow(
-        self, image: Image, features: StereoFeatures, tracks: Tracks, relative: RelativePose
-    ) -> Tracks:
+    def follow(self, features: StereoFeatures, tracks: Tracks, relative: RelativePose) -> Tracks:
         """Put the tracks that agree with a motion where their patches are found.
 
         Parameters
         ----------
-        image
-            (H, W) uint8, the new frame's left one.
         features, tracks, relative
             Of the new frame.
         """
@@ -172,7 +168,7 @@ class LandmarkTracker:
         )
         templates = tracks.templates.select(rows).turned(warp, bend)
         start = np.stack([seen.u_left, seen.v], axis=-1)
-        found = templates.follow(image, start, _REACH_SIGMAS * seen.sigma_px)
+        found = templates.follow(features.image, start, _REACH_SIGMAS * seen.sigma_px)
         held, feature, uv = rows[found.found], feature[found.found], found.uv[found.found]
         moved = uv - start[found.found]
         at_feature = features.observations
@@ -182,7 +178,7 @@ class LandmarkTracker:
             uv[:, 0],
             uv[:, 1],
             at_feature.disparity_px[feature] + np.sum(features.slope[feature] * moved, axis=1),
-            np.hypot(found.sigma_px[found.found], self.config.template_sigma_px),
+            np.hypot(features.noise * found.sigma_px[found.found], self.config.template_sigma_px),
             at_feature.sigma_disparity_px[feature],
         )
         followed = tracks.followed.copy()

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontends.measurements import RelativePose, StereoObservations
-from frontends.stereo import StereoFeatures
+from frontends.stereo_features import StereoFeatures
 from frontends.templates import Templates
 
 FloatArray = NDArray[np.float64]

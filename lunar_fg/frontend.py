@@ -12,7 +12,8 @@ from frontends.camera import StereoCamera
 from frontends.detector import FeatureDetector
 from frontends.measurements import RelativePose, StartPrior, StereoFrame, UnusableFrame, Verdict
 from frontends.relative import MotionPrediction, RelativePositioning
-from frontends.stereo import StereoFeatures, StereoPerception
+from frontends.stereo import StereoPerception
+from frontends.stereo_features import StereoFeatures
 from frontends.tracking import LandmarkTracker, Reach, in_view
 from frontends.tracks import Tracks
 from lunar_fg.checkpoint import Checkpoint
@@ -117,7 +118,7 @@ class Frontend:
             carried = not relative.accepted and other_ground(self._refound, now)
             self._refound = now if relative.accepted else None
             self._richness.see(frame.index, self._refound)
-            tracks, relative = self._follow(frame, features, tracks, relative)
+            tracks, relative = self._follow(features, tracks, relative)
             standing = zero_motion(relative)
             if standing is None:
                 with self._stopwatch.stage("tracking"):
@@ -256,13 +257,13 @@ class Frontend:
         return best
 
     def _follow(
-        self, frame: StereoFrame, features: StereoFeatures, tracks: Tracks, relative: RelativePose
+        self, features: StereoFeatures, tracks: Tracks, relative: RelativePose
     ) -> tuple[Tracks, RelativePose]:
         """Put the landmarks where their patches are, and position once more."""
         if not relative.accepted:
             return tracks, relative
         with self._stopwatch.stage("tracking"):
-            tracks = self._tracker.follow(frame.left, features, tracks, relative)
+            tracks = self._tracker.follow(features, tracks, relative)
         with self._stopwatch.stage("relative pose"):
             start = MotionPrediction(relative.a_T_b, relative.covariance)
             again = self.positioning.refine(

@@ -29,7 +29,7 @@ from frontends.geometry import inverse
 from frontends.measurements import Estimate
 from frontends.relative import LANDMARK_CORRELATION, MotionPrediction, RelativeConfig
 from frontends.revisit import Place, Revisiting
-from frontends.stereo import StereoFeatures
+from frontends.stereo_features import StereoFeatures
 from frontends.tracking import TrackingConfig
 from lunar_fg.graph.incremental import IncrementalSmoother
 from lunar_fg.graph.keyframe import Keyframe

@@ -290,6 +290,33 @@ def test_a_rig_that_bends_is_followed(steps):
     assert perception.rectification.vertical_px[0] == pytest.approx(steps[-1], abs=0.3)
 
 
+def dim(frame, contrast, sigma, seed):
+    """Images of little contrast, in which noise hides what is small."""
+    rng = np.random.default_rng(seed)
+
+    def dimmed(image):
+        value = 100.0 + contrast * (image - 128.0) + sigma * rng.standard_normal(image.shape)
+        return np.clip(value, 0, 255).astype(np.uint8)
+
+    return replace(frame, left=dimmed(frame.left), right=dimmed(frame.right))
+
+
+def test_landmarks_are_found_where_noise_hides_small_things():
+    scene, pose_ = Scene(), rover_T_camera()
+    frame = scene.frame(pose_)
+    plain = StereoPerception(scene.camera).perceive(dim(frame, 0.15, 0.0, 0))
+    assert plain.noise == 1.0  # smoothed only where it helps
+    squared = []
+    for seed in range(3):
+        noisy = StereoPerception(scene.camera).perceive(dim(frame, 0.15, 2.0, seed))
+        assert noisy.noise > 2.0
+        assert len(noisy) > 0.6 * len(plain)
+        error = disparity_error(scene, pose_, noisy.observations)
+        squared.append((error / noisy.observations.sigma_disparity_px) ** 2)
+    assert np.median(np.concatenate(squared)) < 1.0  # .45 of a normal distribution
+    assert np.mean(np.minimum(np.concatenate(squared), 9.0)) < 2.0
+
+
 def test_pairs_of_two_different_scenes_are_not_landmarks():
     scene = Scene()
     here, there = (scene.frame(arc(2, 30.0)[k] @ rover_T_camera()) for k in range(2))

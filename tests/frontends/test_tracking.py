@@ -10,7 +10,8 @@ from frontends.geometry import inverse, se3_exp, transform_points
 from frontends.measurements import RelativePose, Verdict
 from frontends.rectification import observe
 from frontends.relative import MotionPrediction
-from frontends.stereo import StereoFeatures, StereoPerception
+from frontends.stereo import StereoPerception
+from frontends.stereo_features import StereoFeatures
 from frontends.templates import Templates
 from frontends.tracking import LandmarkTracker, Reach, TrackingConfig
 from frontends.tracks import common_landmarks
@@ -45,6 +46,7 @@ def features(which, shift=(0.0, 0.0)):
         0.1,
         np.zeros((len(which), 2)),
         Templates.cut(NOTHING, np.stack([u, v], axis=-1)),
+        NOTHING,
     )  # fmt: skip
 
 
@@ -253,7 +255,7 @@ def driven(poses, follow):
         tracks = tracker.associate(found, truth)
         motion = accept(tracks, prediction=truth)
         if follow:
-            tracks = tracker.follow(frame.left, found, tracks, motion)
+            tracks = tracker.follow(found, tracks, motion)
         held = tracks.observations_b
         camera = poses[k] @ mount
         for row, name in enumerate(held.landmark_id):
@@ -285,6 +287,6 @@ def test_nothing_is_followed_without_a_motion_that_tracks_agree_with():
     step(tracker, features(range(50)))
     found = features(range(50))
     tracks = tracker.associate(found, NO_MOTION)
-    same = tracker.follow(NOTHING, found, tracks, accept(tracks, keep=slice(0, 0)))
+    same = tracker.follow(found, tracks, accept(tracks, keep=slice(0, 0)))
     assert not same.followed.any()
     np.testing.assert_array_equal(same.observations_b.u_left, tracks.observations_b.u_left)
