@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from frontends.geometry import inverse, se3_exp, se3_log
-from lunar_fg.graph.anchors import Anchor, fix_factor, height_factor, relative_factor, spread
+from lunar_fg.graph.anchors import Anchor, fix_factor, height_factor, relative_factor
 from lunar_fg.graph.planar import Planar, PlanarChain, planar, planar_jacobian, planar_of
 from lunar_fg.graph.segment import SegmentSolution
+from lunar_fg.graph.spread import spread
 
 RNG = np.random.default_rng(0)
 X0, X1, X2 = (gtsam.symbol("x", i) for i in range(3))
