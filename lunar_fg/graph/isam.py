@@ -20,7 +20,6 @@ from lunar_fg.graph.isam_steps import (
     joint_covariance,
     linearization,
     ordered_last,
-    relinearize,
     require_finite,
 )
 from lunar_fg.graph.snapshots import Snapshot, Snapshots
@@ -110,7 +109,7 @@ class GuardedIsam:
             self._isam.update(factors, values, [], ordered_last(factors))
             if self._relinearization.skip == 1:
                 # A new pose that its attitude turned by much counts anew at once.
-                relinearize(self._isam, self._isam.update())
+                self._isam.update()
             require_finite(self._isam, values)
         except GTSAM_ERRORS as error:
             return self._recover(factors, values, frame, error)

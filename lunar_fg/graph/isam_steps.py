@@ -13,9 +13,8 @@ from frontends.measurements import FloatArray
 #: What pybind11 turns GTSAM's C++ exceptions into.
 GTSAM_ERRORS = (RuntimeError, ValueError, IndexError, KeyError)
 
-#: Updates after one that moved something; each linearises anew what still moves. A keyframe
-#: that comes moves little: what is left then is taken up with the next one.
-_MOST_RELINEARIZATIONS, _MOST_BETWEEN_KEYFRAMES = 6, 2
+#: Updates after a named factor came or went; each linearises anew what still moves.
+_MOST_CARRYING_UPDATES = 6
 _POSE, _LANDMARK = ord("x"), ord("l")
 _MANY_LANDMARKS = 200
 
@@ -49,16 +48,6 @@ class Relinearization:
         return gtsam.ISAM2(params)
 
 
-def relinearize(
-    isam: gtsam.ISAM2, result: gtsam.ISAM2Result, most: int = _MOST_BETWEEN_KEYFRAMES
-) -> None:
-    """After an update, linearise anew what still moves; raises what GTSAM raises."""
-    for _ in range(most):
-        if not result.getVariablesRelinearized():
-            break
-        result = isam.update(force_relinearize=True)
-
-
 def carry(
     isam: gtsam.ISAM2,
     factors: gtsam.NonlinearFactorGraph,
@@ -67,7 +56,10 @@ def carry(
 ) -> None:
     """Exchange factors, and linearise anew what moves; raises what GTSAM raises, or ValueError."""
     result = isam.update(factors, values, gone, force_relinearize=True)
-    relinearize(isam, result, _MOST_RELINEARIZATIONS)
+    for _ in range(_MOST_CARRYING_UPDATES):
+        if not result.getVariablesRelinearized():
+            break
+        result = isam.update(force_relinearize=True)
     for key in factors.keyVector():
         if is_pose(key) and not np.isfinite(isam.calculateEstimatePose3(key).matrix()).all():
             raise ValueError("the estimate is not finite")
