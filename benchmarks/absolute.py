@@ -7,9 +7,10 @@ The relief comes from dense stereo on the rendered images, laid out by the ESTIM
 a run without fixes. The same ground is rendered from above under four suns and averaged to
 three ground distances. The prior is off by up to 6 m and 1 degree, the window +-15 m and
 +-3 degrees. The same is done on maps whose ground is moved about by 0.2 px, as that of real ones
-is. False accepts are looked for on the maps of all the other terrains and on maps of nothing.
-Then the traverses are run with and without the map; those given with ``--runs`` are only run,
-those with ``--held-out`` are tried on their own maps alone.
+is. False accepts are looked for on the maps of the other terrains (of the first of
+``--own-maps``, too, which are else tried on their own maps alone) and on maps of nothing. Then the
+traverses are run with and without the map; those given with ``--runs`` are only run. ``--held-out``
+names terrains that had no part in setting anything.
 Writes ``docs/benchmarks/absolute.json`` and ``.md``.
 """
 
@@ -88,15 +89,16 @@ def kept(path: Path, make: Callable[[], Any]) -> Any:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("datasets", nargs="+", type=Path)
-    parser.add_argument("--held-out", nargs="*", default=[], type=Path)
+    parser.add_argument("--own-maps", nargs="*", default=[], type=Path)
+    parser.add_argument("--held-out", nargs="*", default=[])
     parser.add_argument("--runs", nargs="*", default=[], type=Path)
     parser.add_argument("--work", type=Path, default=Path("build/absolute"))
     parser.add_argument("--out", type=Path, default=RESULTS)
     arguments = parser.parse_args()
     work: Path = arguments.work
     work.mkdir(parents=True, exist_ok=True)
-    held_out = [folder.name for folder in arguments.held_out]
-    grounds = {folder: drive(folder) for folder in (*arguments.datasets, *arguments.held_out)}
+    folders = (*arguments.datasets, *arguments.own_maps)
+    grounds = {folder: drive(folder) for folder in folders}
     for folder, ground in grounds.items():
         render_maps(folder, ground, work)
         for gsd in GSDS_M:
@@ -106,9 +108,10 @@ def main() -> None:
                 bent(path, work / f"{ground.name}_{d:.0f}_bent_{gsd}.tif")
     rows: list[Trial] = []
     for folder, ground in grounds.items():
-        strangers = [other.name for other in arguments.datasets if other != folder]
-        if folder.name in held_out:
-            strangers = []
+        strangers = [other.name for other in (*arguments.datasets, *arguments.own_maps[:1])]
+        strangers = (
+            [] if folder in arguments.own_maps else [n for n in strangers if n != ground.name]
+        )
 
         def tried(ground: Ground = ground, strangers: list[str] = strangers) -> list[Any]:
             return [asdict(trial) for trial in trials(ground, work, strangers)]
@@ -118,7 +121,7 @@ def main() -> None:
         kept(work / f"{folder.name}_runs.json", lambda folder=folder: full_runs(folder, work))
         for folder in (*arguments.datasets, *arguments.runs)
     ]
-    write(rows, drives, held_out, arguments.out)
+    write(rows, drives, arguments.held_out, arguments.out)
 
 
 if __name__ == "__main__":
