@@ -107,11 +107,11 @@ def main() -> None:
             for path, d in zip(plain, SUN_DIFFERENCES_DEG, strict=True):
                 bent(path, work / f"{ground.name}_{d:.0f}_bent_{gsd}.tif")
     rows: list[Trial] = []
+    wrong = [folder.name for folder in (*arguments.datasets, *arguments.own_maps[:1])]
     for folder, ground in grounds.items():
-        strangers = [other.name for other in (*arguments.datasets, *arguments.own_maps[:1])]
-        strangers = (
-            [] if folder in arguments.own_maps else [n for n in strangers if n != ground.name]
-        )
+        strangers: list[str] = []
+        if folder in arguments.datasets:
+            strangers = [name for name in wrong if name != ground.name]
 
         def tried(ground: Ground = ground, strangers: list[str] = strangers) -> list[Any]:
             return [asdict(trial) for trial in trials(ground, work, strangers)]
