@@ -33,7 +33,8 @@ class StereoConfig:
     Attributes
     ----------
     hessian_threshold
-        SURF detector threshold, OpenCV's unit.
+        SURF detector threshold, OpenCV's unit; it goes with the square of the contrast. Low, so
+        that dim images give landmarks, too: in others `max_keypoints` bounds them.
     max_keypoints
         Strongest keypoints kept in each image.
     band_px
@@ -56,7 +57,7 @@ class StereoConfig:
 
     __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
 
-    hessian_threshold: Annotated[float, Ge(0)] = 20.0
+    hessian_threshold: Annotated[float, Ge(0)] = 1.0
     max_keypoints: Annotated[int, Ge(1)] = 1100
     band_px: Annotated[float, Gt(0)] = 1.5
     near_baselines: Annotated[float, Gt(0)] = 2.0

@@ -317,6 +317,13 @@ def test_landmarks_are_found_where_noise_hides_small_things():
     assert np.mean(np.minimum(np.concatenate(squared), 9.0)) < 2.0
 
 
+def test_a_dim_scene_gives_as_many_landmarks():
+    scene, pose_ = Scene(), rover_T_camera()
+    frame = scene.frame(pose_)
+    found = [len(StereoPerception(scene.camera).perceive(dim(frame, c, 0.0, 0))) for c in (1, 0.15)]
+    assert found[1] > 0.8 * found[0]
+
+
 def test_pairs_of_two_different_scenes_are_not_landmarks():
     scene = Scene()
     here, there = (scene.frame(arc(2, 30.0)[k] @ rover_T_camera()) for k in range(2))
