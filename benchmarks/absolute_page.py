@@ -139,7 +139,8 @@ def write(
         "",
         f"Fixes further than max(0.5 m, 1 px) from the truth: {far(right)} on the right map, "
         f"{far(warped)} on the same map bent (see below): strips that a lost motion has "
-        f"torn, and errors just beyond that. In {s['trials']} trials on the right map {s['fixed']} were believed; "
+        f"torn, and errors just beyond that. In {s['trials']} trials on the right map {s['fixed']} "
+        "were believed; "
         f"{sum(t.fixed for t in wrong)} accepted "
         f"of {len(wrong)} on a map of another place; {sum(t.fixed for t in blank)} of "
         f"{len(blank)} on featureless ground. The graph's own gate and vote come after this.",
