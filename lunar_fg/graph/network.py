@@ -25,9 +25,7 @@ _MOST_ITERATIONS = 100
 
 def squared(off: FloatArray, covariance: FloatArray) -> FloatArray:
     """Squared Mahalanobis lengths (C,) of vectors (C, 3) with covariances (C, 3, 3)."""
-    return np.asarray(
-        np.einsum("ci,ci->c", off, np.linalg.solve(covariance, off[..., None])[..., 0])
-    )
+    return kernels.squared_lengths(off, covariance)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from lunar_fg.graph.kernels.forward import gated
+from lunar_fg.graph.kernels.forward import gated, squared_lengths
 from lunar_fg.graph.kernels.gate import distances
 from lunar_fg.graph.kernels.motions import add_motions, moved
 from lunar_fg.graph.kernels.network import (
@@ -38,6 +38,7 @@ __all__ = [
     "network_covariance",
     "network_terms",
     "solve_network",
+    "squared_lengths",
     "step_of",
     "stepped",
     "warm",
@@ -69,4 +70,5 @@ def warm() -> None:
     solve_network(place, terms, 1)
     network_covariance(place, terms)
     network_terms(place, terms)
+    squared_lengths(place, noise[:1])
     gated(place, noise[:1], 0, here, none, here, here, 1.0)

@@ -1,4 +1,4 @@
-"""A Kalman filter forward along a planar path that takes in what passes its gate."""
+"""Squared lengths in sigmas, and a filter forward along a planar path behind such a gate."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ def _solve(matrix: FloatArray, vector: FloatArray, out: FloatArray) -> None:
     """Solve a symmetric positive definite system of three."""
     a, b, c = matrix[0, 0], matrix[0, 1], matrix[0, 2]
     d, e, f = matrix[1, 1], matrix[1, 2], matrix[2, 2]
-    # Scaled to ones on the diagonal: metres and radians are far apart.
-    p, q, r = np.sqrt(a), np.sqrt(d), np.sqrt(f)
+    # Scaled to ones on the diagonal: metres and radians are far apart. A variance that rounding
+    # has made negative counts by its size.
+    p, q, r = np.sqrt(abs(a)), np.sqrt(abs(d)), np.sqrt(abs(f))
     b, c, e = b / (p * q), c / (p * r), e / (q * r)
     x, y, z = vector[0] / p, vector[1] / q, vector[2] / r
     det = 1.0 - e * e - b * (b - c * e) + c * (b * e - c)
@@ -43,6 +44,16 @@ def _carry(here: FloatArray, spread: FloatArray, motion: FloatArray, noise: Floa
     here[1] += dy
     here[2] += motion[2]
     spread[:] = total
+
+
+@kernel
+def squared_lengths(off: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Squared Mahalanobis lengths (C,) of vectors (C, 3), covariances (C, 3, 3) positive."""
+    result, weighed = np.empty(len(off)), np.empty(3)
+    for c in range(len(off)):
+        _solve(covariance[c], off[c], weighed)
+        result[c] = off[c, 0] * weighed[0] + off[c, 1] * weighed[1] + off[c, 2] * weighed[2]
+    return result
 
 
 @kernel

@@ -66,3 +66,12 @@ def test_the_forward_gate_is_the_filter_step_by_step():
     assert found.tolist() == expected
     found = kernels.gated(value, noise, 2, *arguments, np.array([-1, 1, -2]), 1e-9)
     assert found.tolist() == [-1, 1, -1]
+
+
+def test_squared_lengths_are_those_of_numpy():
+    rng = np.random.default_rng(4)
+    root = rng.normal(size=(50, 3, 3)) * [1e-3, 10.0, 1e3]
+    covariance = root.transpose(0, 2, 1) @ root + np.diag([1e-8, 1e-2, 1.0])
+    off = rng.normal(size=(50, 3)) * [1e-3, 10.0, 1e3]
+    expected = [x @ np.linalg.solve(c, x) for x, c in zip(off, covariance, strict=True)]
+    np.testing.assert_allclose(kernels.squared_lengths(off, covariance), expected, rtol=1e-6)
