@@ -197,6 +197,17 @@ class RelativePositioning:
         everything = np.ones(count, dtype=np.bool_)
         return self._refine(problem, observations_b, start, everything, prediction)
 
+    def agreeing(
+        self,
+        a_T_b: FloatArray,
+        points_a: FloatArray,
+        covariance_a: FloatArray,
+        observations_b: StereoObservations,
+    ) -> NDArray[np.bool_]:
+        """Which landmarks agree with a motion, (N,)."""
+        problem = TwoViewProblem.of_landmarks(self.camera, points_a, covariance_a, observations_b)
+        return problem.distances2(inverse(a_T_b)) < self._gate
+
     def _ransac(
         self,
         problem: TwoViewProblem,

@@ -49,6 +49,19 @@ class Tracks:
     def __len__(self) -> int:
         return len(self.feature)
 
+    def select(self, rows: NDArray[np.int64]) -> Tracks:
+        """Some of the tracks."""
+        return Tracks(
+            self.points_a[rows],
+            self.covariance_a[rows],
+            self.observations_b.select(rows),
+            self.feature[rows],
+            self.first_depth_m[rows],
+            self.slope[rows],
+            self.templates.select(rows),
+            self.followed[rows],
+        )
+
     def agreeing(self, relative: RelativePose) -> NDArray[np.bool_]:
         """Which tracks agree with a motion, (M,)."""
         # ids of a few frames lie close together: a table of them is small

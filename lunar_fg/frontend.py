@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from frontends.camera import StereoCamera
 from frontends.detector import FeatureDetector
 from frontends.measurements import RelativePose, StartPrior, StereoFrame, UnusableFrame, Verdict
+from frontends.own_parts import without_own_parts
 from frontends.relative import MotionPrediction, RelativePositioning
 from frontends.stereo import StereoPerception
 from frontends.stereo_features import StereoFeatures
@@ -239,9 +240,11 @@ class Frontend:
         """Track and position; where most tracks disagree, search wider, too.
 
         A turn or slip that nobody told of takes landmarks out of the near windows; where these
-        hold them, they are found best there, among the least others.
+        hold them, they are found best there, among the least others. What moved goes before what
+        stood still: that may be the rover itself.
         """
         best: tuple[Tracks, RelativePose] | None = None
+        most = (False, -1)
         for reach in Reach if self._motion.known else (Reach.WIDE, Reach.ANYWHERE):
             with self._stopwatch.stage("tracking"):
                 tracks = self._tracker.associate(features, prediction, reach)
@@ -249,8 +252,12 @@ class Frontend:
                 relative = self.positioning.estimate(
                     tracks.points_a, tracks.covariance_a, tracks.observations_b, prediction
                 )
-            if best is None or len(relative.inlier_ids) > len(best[1].inlier_ids):
-                best = tracks, relative
+                tracks, relative, still = without_own_parts(
+                    self.positioning, tracks, relative, prediction
+                )
+            support = relative.accepted and not still, len(relative.inlier_ids)
+            if best is None or support > most:
+                best, most = (tracks, relative), support
             if relative.accepted and relative.wrong_match_rate < _MOST_WRONG:
                 break
         assert best is not None
