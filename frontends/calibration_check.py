@@ -88,7 +88,7 @@ class CalibrationCheck:
 
 def check_calibration(camera: StereoCamera, frames: Iterable[StereoFrame]) -> CalibrationCheck:
     """Check a rectified pair's calibration on some of its frames."""
-    surf = SURF(20.0, upright=True, max_keypoints=2000)
+    surf = SURF(1.0, upright=True, max_keypoints=2000)
     found = []
     for frame in frames:
         left, left_descriptors = surf.detectAndCompute(frame.left)

@@ -131,7 +131,7 @@ def _overlaps(
     pictures: Sequence[Picture], max_keypoints: int, seed: int
 ) -> tuple[list[Overlap], dict[int, str]]:
     """Pairs that a homography relates; for each image how near its best refused pair was."""
-    surf = SURF(20.0, max_keypoints=max_keypoints)
+    surf = SURF(1.0, max_keypoints=max_keypoints)
     features = []
     for i, picture in enumerate(pictures):
         try:

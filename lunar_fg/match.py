@@ -138,7 +138,7 @@ def match_images(
     """
     warmup()
     start = time.perf_counter()
-    surf = SURF(20.0, upright=model is MatchModel.STEREO, max_keypoints=max_keypoints)
+    surf = SURF(1.0, upright=model is MatchModel.STEREO, max_keypoints=max_keypoints)
     a, b = surf.detectAndCompute(first), surf.detectAndCompute(second)
     pairs = match_descriptors(a[1], b[1])
     first_xy = a[0].xy[pairs.query].astype(np.float64)
