@@ -17,8 +17,8 @@ _TEXTS = {
         "Medians are flat; the mean grows with iSAM2's update of the poses, once in ten "
         "keyframes, which walks over every pose, and with the copy before a fix. The rows of "
         "50,000 keyframes are of a run of segments alone (`--most 50000 --most-fixed 50000 "
-        "--most-plain 1 --most-full 1`), with warm caches: there the mean was 0.72 ms at 1,000, 1.18 "
-        "at 10,000, with fixes 0.83 and 1.11. Full landmarks are feasible up to some thousand.",
+        "--most-plain 1 --most-full 1`), with warm caches: there the mean was 0.72 ms at 1,000 and "
+        "1.18 at 10,000, with fixes 0.83 and 1.11. Full landmarks are feasible to some thousand.",
     ),
     "agreement": (
         "Three ways on the same factors",
