@@ -136,9 +136,7 @@ _NO_FAULT = ("injected", "kitti:", "nees:")
 FALLS_SHORT = """What falls short, and what the rows do not show:
 
 - *Far fewer landmarks* is said of the drive without a fault, too, and is left out above: it goes
-  through a crater whose shadow fills a third of the image (frames 87 to 92; 87 and 88 since one
-  rich frame alone no longer counts as usual, which was changed after these runs and takes back
-  what is said of frames 85 to 91 on the circle with seed 2).
+  through a crater whose shadow fills a third of the image (frames 87 and 88).
 - A baseline that is wrong by 2 % is four times what the covariances allow for
   (`graph: scale_sigma`). Without a map nothing shows it, and the covariances hold it because they
   are wide enough on 75 m. With a map two of the right fixes are believed; the next two, 33 m
