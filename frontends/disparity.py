@@ -22,6 +22,7 @@ from frontends.measurements import Image
 from frontends.patch_alignment import refine_all
 from frontends.patch_sampling import SPAN
 from frontends.patch_window import PATCH
+from frontends.rows import selected_rows
 
 FloatArray = NDArray[np.float64]
 
@@ -62,14 +63,7 @@ class RefinedDisparities:
 
     def select(self, keep: NDArray[np.bool_]) -> RefinedDisparities:
         """The features at a mask."""
-        return RefinedDisparities(
-            self.disparity_px[keep],
-            self.sigma_px[keep],
-            self.vertical_px[keep],
-            self.confirmed[keep],
-            self.contradicted[keep],
-            self.slope[keep],
-        )
+        return selected_rows(self, keep)
 
 
 def refine_disparities(

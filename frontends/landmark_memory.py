@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontends.geometry import inverse, transform_points
+from frontends.rows import joined_rows, selected_rows
 from frontends.templates import Templates
 
 FloatArray = NDArray[np.float64]
@@ -48,31 +49,11 @@ class LandmarkMemory:
 
     def select(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> LandmarkMemory:
         """The landmarks at a mask or an index array."""
-        return LandmarkMemory(
-            self.landmark_id[keep],
-            self.descriptors[keep],
-            self.laplacian[keep],
-            self.points[keep],
-            self.covariance[keep],
-            self.unseen[keep],
-            self.first_depth_m[keep],
-            self.slope[keep],
-            self.templates.select(keep),
-        )
+        return selected_rows(self, keep)
 
     def joined(self, other: LandmarkMemory) -> LandmarkMemory:
         """These landmarks and those."""
-        return LandmarkMemory(
-            np.concatenate([self.landmark_id, other.landmark_id]),
-            np.concatenate([self.descriptors, other.descriptors]),
-            np.concatenate([self.laplacian, other.laplacian]),
-            np.concatenate([self.points, other.points]),
-            np.concatenate([self.covariance, other.covariance]),
-            np.concatenate([self.unseen, other.unseen]),
-            np.concatenate([self.first_depth_m, other.first_depth_m]),
-            np.concatenate([self.slope, other.slope]),
-            self.templates.joined(other.templates),
-        )
+        return joined_rows(self, other)
 
     def carried(
         self, a_T_b: FloatArray, seen_again: NDArray[np.int64], max_unseen: int

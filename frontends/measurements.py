@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from frontends.camera import StereoCamera
 from frontends.geometry import adjoint, inverse
-from frontends.rows import replaced_rows
+from frontends.rows import replaced_rows, selected_rows
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -140,16 +140,7 @@ class StereoObservations:
 
     def select(self, keep: NDArray[np.bool_] | IntArray) -> StereoObservations:
         """The observations at a boolean mask or an index array."""
-        return StereoObservations(
-            self.landmark_id[keep],
-            self.u_left[keep],
-            self.u_right[keep],
-            self.v[keep],
-            self.sigma_px[keep],
-            self.sigma_disparity_px[keep],
-            self.points_cam[keep],
-            self.points_covariance[keep],
-        )
+        return selected_rows(self, keep)
 
     def replaced(self, rows: IntArray, other: StereoObservations) -> StereoObservations:
         """These observations with others in the place of some rows."""

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from frontends.measurements import Image
 from frontends.patch_sampling import MIDDLE
 from frontends.patch_window import PATCH
-from frontends.rows import replaced_rows
+from frontends.rows import joined_rows, replaced_rows, selected_rows
 from frontends.template_alignment import TEMPLATE_SIDE, cut_all, follow_all
 
 FloatArray = NDArray[np.float64]
@@ -78,23 +78,11 @@ class Templates:
 
     def select(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> Templates:
         """The patches at a mask or an index array."""
-        return Templates(
-            self.pixels[keep],
-            self.offset[keep],
-            self.warp[keep],
-            self.bend[keep],
-            self.sigma_px[keep],
-        )
+        return selected_rows(self, keep)
 
     def joined(self, other: Templates) -> Templates:
         """These patches and those."""
-        return Templates(
-            np.concatenate([self.pixels, other.pixels]),
-            np.concatenate([self.offset, other.offset]),
-            np.concatenate([self.warp, other.warp]),
-            np.concatenate([self.bend, other.bend]),
-            np.concatenate([self.sigma_px, other.sigma_px]),
-        )
+        return joined_rows(self, other)
 
     def replaced(self, rows: NDArray[np.int64], other: Templates) -> Templates:
         """These patches with others in the place of some rows."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frontends.measurements import RelativePose, StereoObservations
+from frontends.rows import selected_rows
 from frontends.stereo_features import StereoFeatures
 from frontends.templates import Templates
 
@@ -51,16 +52,7 @@ class Tracks:
 
     def select(self, rows: NDArray[np.int64]) -> Tracks:
         """Some of the tracks."""
-        return Tracks(
-            self.points_a[rows],
-            self.covariance_a[rows],
-            self.observations_b.select(rows),
-            self.feature[rows],
-            self.first_depth_m[rows],
-            self.slope[rows],
-            self.templates.select(rows),
-            self.followed[rows],
-        )
+        return selected_rows(self, rows)
 
     def agreeing(self, relative: RelativePose) -> NDArray[np.bool_]:
         """Which tracks agree with a motion, (M,)."""

@@ -21,7 +21,8 @@ def fix(run, frame, off=0.0):
     return AbsoluteFix(frame, (FixCandidate(x + off, y, yaw, np.diag(SIGMAS**2)),))
 
 
-def driven(run, *, believed_from=None, back_at=None):
+def driven(run, *changes):
+    """A drive with a false fix; `changes`: (keyframe, "accept" or "reject"), said by a person."""
     smoother = IncrementalSmoother(run.camera, run.rover_T_camera, run.start)
     for keyframe in run.keyframes:
         smoother.add(keyframe)
@@ -30,10 +31,9 @@ def driven(run, *, believed_from=None, back_at=None):
         if keyframe.index == FALSE:
             # Refused, but a keyframe with a fix ends its segment.
             smoother.add_fix(fix(run, FALSE, 40.0))
-        if keyframe.index == believed_from:
-            smoother.accept(FALSE)
-        if keyframe.index == back_at:
-            smoother.reject(FALSE)
+        for at, said in changes:
+            if at == keyframe.index:
+                getattr(smoother, said)(FALSE)
     return smoother
 
 
@@ -48,7 +48,8 @@ def wheels():
 def test_taken_back_leaves_nothing(wheels, back_at, monkeypatch):
     """At once, some keyframes later, and after another fix; by a snapshot, and without one."""
     never = driven(wheels).trajectory().map_T_rover[:, :3, 3]
-    believed = driven(wheels, believed_from=FALSE).trajectory().map_T_rover[:, :3, 3]
+    believe, take_back = (FALSE, "accept"), (back_at, "reject")
+    believed = driven(wheels, believe).trajectory().map_T_rover[:, :3, 3]
     assert np.linalg.norm(believed - never, axis=1).max() > 2.0
     went_back = []
     original = guarded.GuardedIsam._go_back
@@ -58,14 +59,12 @@ def test_taken_back_leaves_nothing(wheels, back_at, monkeypatch):
         return went_back[-1]
 
     monkeypatch.setattr(guarded.GuardedIsam, "_go_back", watched)
-    after = driven(wheels, believed_from=FALSE, back_at=back_at).trajectory().map_T_rover[:, :3, 3]
+    after = driven(wheels, believe, take_back).trajectory().map_T_rover[:, :3, 3]
     assert went_back
     assert all(went_back)
     assert np.linalg.norm(after - never, axis=1).max() < 1e-3
     monkeypatch.setattr(guarded.GuardedIsam, "_go_back", lambda *_: False)
-    without = (
-        driven(wheels, believed_from=FALSE, back_at=back_at).trajectory().map_T_rover[:, :3, 3]
-    )
+    without = driven(wheels, believe, take_back).trajectory().map_T_rover[:, :3, 3]
     assert np.linalg.norm(without - never, axis=1).max() < 5e-3
 
 
@@ -105,19 +104,11 @@ def test_to_and_fro_is_to_the_last_bit_without_a_step(wheels, monkeypatch):
 
 def test_what_came_since_is_in_both_stories(wheels):
     """Reject, drive on with a fix, accept, drive on, reject: each as if it had never been else."""
-    ends = []
-    for changes in ({120: "accept"}, {110: "accept", 115: "reject", 125: "accept"},
-                    {110: "accept", 115: "reject", 125: "accept", 130: "reject"}, {}):  # fmt: skip
-        smoother = IncrementalSmoother(wheels.camera, wheels.rover_T_camera, wheels.start)
-        for keyframe in wheels.keyframes:
-            smoother.add(keyframe)
-            if keyframe.index and keyframe.index % 40 == 0:
-                smoother.add_fix(fix(wheels, keyframe.index))
-            if keyframe.index == FALSE:
-                smoother.add_fix(fix(wheels, FALSE, 40.0))
-            if keyframe.index in changes:
-                getattr(smoother, changes[keyframe.index])(FALSE)
-        ends.append(smoother.trajectory().map_T_rover[:, :3, 3])
+    to_and_fro = ((110, "accept"), (115, "reject"), (125, "accept"))
+    ends = [
+        driven(wheels, *changes).trajectory().map_T_rover[:, :3, 3]
+        for changes in (((120, "accept"),), to_and_fro, (*to_and_fro, (130, "reject")), ())
+    ]
     assert np.linalg.norm(ends[0] - ends[3], axis=1).max() > 2.0
     assert np.linalg.norm(ends[1] - ends[0], axis=1).max() < 2e-2
     assert np.linalg.norm(ends[2] - ends[3], axis=1).max() < 1e-3
