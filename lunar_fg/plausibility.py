@@ -57,12 +57,12 @@ class Episodes:
 
     def sentences(self) -> tuple[str, ...]:
         """One sentence a run of frames."""
-        return tuple(
-            f"frame {first}: {self.text}"
-            if first == last
-            else f"frames {first} to {last}: {self.text}"
-            for first, last in self._spans
-        )
+        return tuple(f"{frames_named(first, last)}: {self.text}" for first, last in self._spans)
+
+
+def frames_named(first: int, last: int) -> str:
+    """Say which frames: "frame 3", or "frames 3 to 5"."""
+    return f"frame {first}" if first == last else f"frames {first} to {last}"
 
 
 class DeadCamera:

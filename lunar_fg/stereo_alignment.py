@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lunar_fg.plausibility import frames_named
+
 #: A vertical offset below this is within what the epipolar band allows for anyway, px.
 NOTEWORTHY_OFFSET_PX = 0.5
 
@@ -18,10 +20,6 @@ class _Span:
     first: int
     last: int
     most_px: float
-
-    def __str__(self) -> str:
-        one = self.first == self.last
-        return f"frame {self.first}" if one else f"frames {self.first} to {self.last}"
 
 
 class StereoAlignment:
@@ -53,8 +51,9 @@ class StereoAlignment:
     def warnings(self) -> tuple[str, ...]:
         """One sentence for each run of frames."""
         return tuple(
-            f"{span}: the images lie up to {span.most_px:+.1f} px elsewhere vertically than when "
-            "the run began: the cameras have moved against each other; followed and removed"
+            f"{frames_named(span.first, span.last)}: the images lie up to {span.most_px:+.1f} px "
+            "elsewhere vertically than when the run began: the cameras have moved against each "
+            "other; followed and removed"
             for span in self._spans
         )
 
