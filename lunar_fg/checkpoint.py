@@ -123,5 +123,5 @@ class Checkpoint:
             int(arrays["watched_from"]),
             finding,
             corrected,
-            arrays.get("alignment", np.zeros(0)),  # older logs have none
+            arrays["alignment"],
         )
